@@ -1,0 +1,1 @@
+"""Recordings, replay, evaluation, metrics and reports."""

@@ -1,0 +1,1 @@
+"""Readers of recordings: one file is one format."""
