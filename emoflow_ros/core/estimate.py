@@ -1,0 +1,142 @@
+"""What an estimator returns for a window, and what every estimator offers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.windows import Window
+
+
+class Status(StrEnum):
+    """Whether a window's estimate can be used, and if not, why."""
+
+    OK = "ok"
+    TOO_FEW_EVENTS = "too_few_events"
+    NO_MOTION = "no_motion"  # a static camera: events do not move together
+    DIVERGED = "diverged"
+
+
+class MotionModel(StrEnum):
+    """The freedom that the window's events gave evidence for."""
+
+    FULL = "full"  # angular velocity and direction of linear velocity
+    ROTATION = "rotation"
+    TRANSLATION = "translation"
+    STATIC = "static"
+
+
+class FlowSampler(Protocol):
+    """The window's flow field, continuous in time. Times are in nanoseconds."""
+
+    def velocity(self, t: int) -> NDArray[np.float32]:
+        """Flow at time t, (height, width, 2) in px/s: u right, v down."""
+        ...
+
+    def displacement(self, t0: int, t1: int) -> NDArray[np.float32]:
+        """Where the pixels of time t0 are at t1, minus where they were: (height, width, 2) px."""
+        ...
+
+    def tracks(
+        self, points: NDArray[np.float64], times: Sequence[int]
+    ) -> NDArray[np.float64]:
+        """Positions (len(times), N, 2) in px of points (N, 2) given at times[0]."""
+        ...
+
+
+class Motion(Protocol):
+    """The window's egomotion, continuous in time, in the camera's optical frame."""
+
+    def angular(self, t: int) -> NDArray[np.float64]:
+        """Angular velocity at time t, (3,) rad/s."""
+        ...
+
+    def linear(self, t: int) -> NDArray[np.float64]:
+        """Direction of the linear velocity at time t, (3,) unit; zeros if not observable."""
+        ...
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How far a window's estimate can be trusted.
+
+    Attributes:
+        events: events of the window that were used.
+        iterations: steps of the optimiser.
+        stop_reason: `converged`, `iterations`, `deadline` or a Status value.
+        contrast_gain: variance of the warped over that of the unwarped image (FWL).
+        residual_px: robust scale of the epipolar residual over the window, in px.
+        inlier_fraction: share of the residuals within 3 robust scales.
+        runtime_s: wall time of the whole estimate.
+        warm: whether the previous window's result was the start.
+    """
+
+    events: int
+    iterations: int = 0
+    stop_reason: str = ""
+    contrast_gain: float = float("nan")
+    residual_px: float = float("nan")
+    inlier_fraction: float = float("nan")
+    runtime_s: float = 0.0
+    warm: bool = False
+
+
+def _unknown_covariance() -> NDArray[np.float64]:
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = -1.0
+    return covariance
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Egomotion and flow of one window.
+
+    Attributes:
+        t_start, t_end: the window, ns.
+        t: the time that linear and angular hold at (the window's middle), ns.
+        status: whether the rest can be used.
+        model: which motion model the evidence supports.
+        linear: (3,) unit direction of the camera's velocity in its optical frame; zeros
+            where translation is not observable.
+        angular: (3,) rad/s in the camera's optical frame.
+        covariance: (6, 6) of (linear, angular), the order of ROS twists; [0, 0] is -1
+            where translation is not observable (REP-145's idiom).
+        flow: the flow field; None unless the status is OK.
+        motion: the egomotion over the window; None unless the status is OK.
+        quality: the record behind the status.
+    """
+
+    t_start: int
+    t_end: int
+    t: int
+    status: Status
+    quality: Quality
+    model: MotionModel = MotionModel.STATIC
+    linear: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    angular: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    covariance: NDArray[np.float64] = field(default_factory=_unknown_covariance)
+    flow: FlowSampler | None = None
+    motion: Motion | None = None
+
+    @property
+    def translation_observable(self) -> bool:
+        """Whether `linear` carries a direction."""
+        return self.status is Status.OK and self.model in (
+            MotionModel.FULL,
+            MotionModel.TRANSLATION,
+        )
+
+
+class Estimator(Protocol):
+    """Estimates one window after another; what is learnt from one warms up the next."""
+
+    def estimate(self, window: Window) -> Estimate:
+        """Fit flow and egomotion to one window."""
+        ...
+
+    def reset(self) -> None:
+        """Forget previous windows: the next one starts cold."""
+        ...

@@ -1,0 +1,149 @@
+"""Causal time windows over an event stream."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.errors import InputError
+
+NS_PER_S = 1_000_000_000
+NS_PER_MS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Events of the half-open interval [t_start, t_end), in nanoseconds."""
+
+    t_start: int
+    t_end: int
+    events: Events
+
+    @property
+    def duration(self) -> float:
+        """Length in seconds."""
+        return (self.t_end - self.t_start) / NS_PER_S
+
+
+@dataclass(frozen=True)
+class WindowPolicy:
+    """How a stream is cut into windows.
+
+    Args:
+        duration_ms: length of a window by time.
+        stride_ms: from one window's start to the next one's; less than the duration makes
+            windows overlap.
+        count: with count > 0, windows hold this many events and the two above are ignored.
+        count_stride: events from one window's start to the next one's; 0 means `count`.
+
+    Raises:
+        InputError: a length that is not positive, or a stride that would leave gaps.
+    """
+
+    duration_ms: float = 90.0
+    stride_ms: float = 90.0
+    count: int = 0
+    count_stride: int = 0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.duration_ms <= 10_000):
+            raise InputError(
+                "window.duration_ms", f"{self.duration_ms} ms", "give a length in (0, 10000]"
+            )
+        if not (0 < self.stride_ms <= self.duration_ms):
+            raise InputError(
+                "window.stride_ms",
+                f"{self.stride_ms} ms with windows of {self.duration_ms} ms",
+                "give a stride in (0, duration]",
+            )
+        if self.count < 0 or not (0 <= self.count_stride <= max(self.count, 0)):
+            raise InputError(
+                "window.count",
+                f"count {self.count} with stride {self.count_stride}",
+                "give count >= 0 and a stride in [0, count]",
+            )
+
+
+class TimeJumpError(Exception):
+    """Event time went backwards: the caller decides whether to reset or to refuse."""
+
+    def __init__(self, last: int, now: int) -> None:
+        super().__init__(f"event time went back by {(last - now) / NS_PER_S:.6f} s")
+        self.last = last
+        self.now = now
+
+
+class WindowSlicer:
+    """Cut a stream of events into windows as soon as each is complete.
+
+    A window by time is complete when an event at or after its end has been seen, so no
+    window ever holds or waits for more of the future than that one event. Windows without
+    any event are skipped.
+    """
+
+    def __init__(self, policy: WindowPolicy) -> None:
+        self.policy = policy
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for example after a jump in time."""
+        self._parts: deque[Events] = deque()
+        self._last: int | None = None
+        self._start: int | None = None
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events of the stream and return the windows they complete.
+
+        Raises:
+            TimeJumpError: times are not in order, within `events` or against what came
+                before. Nothing of `events` is kept then.
+        """
+        if len(events) == 0:
+            return []
+        backwards = np.flatnonzero(events.t[1:] < events.t[:-1])
+        if len(backwards):
+            i = int(backwards[0])
+            raise TimeJumpError(int(events.t[i]), int(events.t[i + 1]))
+        if self._last is not None and events.t[0] < self._last:
+            raise TimeJumpError(self._last, int(events.t[0]))
+        self._last = int(events.t[-1])
+        if self._start is None:
+            self._start = int(events.t[0])
+        self._parts.append(events)
+        return self._by_count() if self.policy.count else self._by_time()
+
+    def _by_time(self) -> list[Window]:
+        assert self._start is not None and self._last is not None
+        duration = round(self.policy.duration_ms * NS_PER_MS)
+        stride = round(self.policy.stride_ms * NS_PER_MS)
+        if self._last < self._start + duration:
+            return []
+        pending = Events.concatenate(self._parts)
+        windows = []
+        while self._last >= self._start + duration:
+            end = self._start + duration
+            first, last = np.searchsorted(pending.t, [self._start, end])
+            if last > first:
+                windows.append(Window(self._start, end, pending[first:last]))
+                self._start += stride
+            else:  # jump over silence in whole strides
+                self._start += stride * max(1, (int(pending.t[last]) - end) // stride)
+        self._parts = deque([pending[int(np.searchsorted(pending.t, self._start)) :]])
+        return windows
+
+    def _by_count(self) -> list[Window]:
+        count = self.policy.count
+        stride = self.policy.count_stride or count
+        if sum(map(len, self._parts)) < count + 1:
+            return []
+        pending = Events.concatenate(self._parts)
+        windows = []
+        first = 0
+        # One event more than `count`, so that the window's end is known.
+        while len(pending) - first > count:
+            end = max(int(pending.t[first + count]), int(pending.t[first]) + 1)
+            windows.append(Window(int(pending.t[first]), end, pending[first : first + count]))
+            first += stride
+        self._parts = deque([pending[first:]])
+        return windows
