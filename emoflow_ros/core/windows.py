@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.options import option
 from emoflow_ros.errors import InputError
 
 NS_PER_S = 1_000_000_000
@@ -28,40 +29,42 @@ class Window:
 
 @dataclass(frozen=True)
 class WindowPolicy:
-    """How a stream is cut into windows.
-
-    Args:
-        duration_ms: length of a window by time.
-        stride_ms: from one window's start to the next one's; less than the duration makes
-            windows overlap.
-        count: with count > 0, windows hold this many events and the two above are ignored.
-        count_stride: events from one window's start to the next one's; 0 means `count`.
+    """How a stream is cut into windows: by time, or with count > 0 by events.
 
     Raises:
-        InputError: a length that is not positive, or a stride that would leave gaps.
+        InputError: a stride longer than the window, which would leave gaps.
     """
 
-    duration_ms: float = 90.0
-    stride_ms: float = 90.0
-    count: int = 0
-    count_stride: int = 0
+    duration_ms: float = option(
+        90.0, "length of a window by time", unit="ms", minimum=1.0, maximum=10_000.0
+    )
+    stride_ms: float = option(
+        0.0,
+        "from one window's start to the next one's: less than the duration overlaps them, "
+        "0 means the duration",
+        unit="ms",
+        minimum=0.0,
+        maximum=10_000.0,
+    )
+    count: int = option(
+        0, "with count > 0 windows hold this many events, whatever their duration", minimum=0
+    )
+    count_stride: int = option(
+        0, "events from one window's start to the next one's; 0 means count", minimum=0
+    )
 
     def __post_init__(self) -> None:
-        if not (0 < self.duration_ms <= 10_000):
-            raise InputError(
-                "window.duration_ms", f"{self.duration_ms} ms", "give a length in (0, 10000]"
-            )
-        if not (0 < self.stride_ms <= self.duration_ms):
+        if self.stride_ms > self.duration_ms:
             raise InputError(
                 "window.stride_ms",
-                f"{self.stride_ms} ms with windows of {self.duration_ms} ms",
-                "give a stride in (0, duration]",
+                f"{self.stride_ms:g} ms with windows of {self.duration_ms:g} ms leaves gaps",
+                "give a stride of at most window.duration_ms",
             )
-        if self.count < 0 or not (0 <= self.count_stride <= max(self.count, 0)):
+        if self.count_stride > self.count:
             raise InputError(
-                "window.count",
-                f"count {self.count} with stride {self.count_stride}",
-                "give count >= 0 and a stride in [0, count]",
+                "window.count_stride",
+                f"{self.count_stride} with windows of {self.count} events leaves gaps",
+                "give a stride of at most window.count",
             )
 
 
@@ -116,7 +119,7 @@ class WindowSlicer:
     def _by_time(self) -> list[Window]:
         assert self._start is not None and self._last is not None
         duration = round(self.policy.duration_ms * NS_PER_MS)
-        stride = round(self.policy.stride_ms * NS_PER_MS)
+        stride = round(self.policy.stride_ms * NS_PER_MS) or duration
         if self._last < self._start + duration:
             return []
         pending = Events.concatenate(self._parts)

@@ -1,0 +1,92 @@
+"""Typed configuration: defaults in the dataclasses, profiles in config/, overrides by name."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from emoflow_ros.core.options import option, options_of, replace_options
+from emoflow_ros.core.windows import WindowPolicy
+from emoflow_ros.errors import InputError
+
+
+@dataclass(frozen=True)
+class LatticeConfig:
+    """How the lattice estimator fits a window (docs/method.md)."""
+
+    max_events: int = option(
+        30_000, "events used per window, spread evenly over it", minimum=1000, maximum=10_000_000
+    )
+    min_events: int = option(
+        1000, "with fewer events in a window nothing is estimated", minimum=100
+    )
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole configuration of an estimation run."""
+
+    profile: str = option("realtime", "profile that the values came from")
+    window: WindowPolicy = field(default_factory=WindowPolicy)
+    estimator: LatticeConfig = field(default_factory=LatticeConfig)
+
+    def flat(self) -> dict[str, Any]:
+        """All values by dotted name, as written beside every result."""
+        return {o.name: o.value for o in options_of(self)}
+
+
+def load_config(
+    profile: str = "realtime",
+    overrides: Mapping[str, Any] | None = None,
+    params_file: Path | None = None,
+) -> Config:
+    """Resolve a configuration: the profile, then the file, then the overrides.
+
+    Args:
+        profile: the name of a file in config/.
+        overrides: values by dotted name, for example {"window.duration_ms": 50.0}.
+        params_file: a YAML file of nested or dotted names.
+
+    Raises:
+        InputError: an unknown profile or name, or a value that its option refuses.
+    """
+    folder = _config_folder()
+    path = folder / f"{profile}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
+        raise InputError("profile", f"unknown profile '{profile}'", f"use one of {known}")
+    values = dict(_read(path))
+    if params_file is not None:
+        values.update(_read(params_file))
+    values.update(overrides or {})
+    return replace_options(Config(profile=profile), values)
+
+
+def _config_folder() -> Path:
+    """Find config/ beside the sources, or under share/ of the installation."""
+    for parent in Path(__file__).resolve().parents:
+        for folder in (parent / "config", parent / "share" / "emoflow_ros" / "config"):
+            if (folder / "realtime.yaml").is_file():
+                return folder
+    raise InputError("config", "the profiles are missing", "install the package again")
+
+
+def _read(path: Path) -> Iterator[tuple[str, Any]]:
+    try:
+        tree = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(path, f"cannot be read ({reason})", "give a YAML file") from error
+    if not isinstance(tree, Mapping | None):
+        raise InputError(path, "holds no mapping", "write name: value lines")
+    yield from _flatten("", tree or {})
+
+
+def _flatten(prefix: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(f"{prefix}{key}.", value)
+        else:
+            yield f"{prefix}{key}", value
