@@ -1,0 +1,75 @@
+"""Motion field and differential epipolar constraint (DEC) of a calibrated camera.
+
+With bearings X = (x, y, 1) on the undistorted normalised plane and flow U in 1/s there, a
+static scene at depth Z moves as U = A v / Z + B w (Heeger and Jepson, IJCV 1992). The DEC
+eliminates Z: what is left of U after rotation is parallel to A v.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def motion_matrices(bearings: Array) -> tuple[Array, Array]:
+    """Build the matrices of the motion field U = A v / Z + B w.
+
+    Args:
+        bearings: (..., 2) undistorted normalised coordinates.
+
+    Returns:
+        A and B, (..., 2, 3) each.
+    """
+    x, y = bearings[..., 0], bearings[..., 1]
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    a = np.stack([np.stack([-one, zero, x], -1), np.stack([zero, -one, y], -1)], -2)
+    b = np.stack(
+        [np.stack([x * y, -(1 + x * x), y], -1), np.stack([1 + y * y, -x * y, -x], -1)], -2
+    )
+    return a, b
+
+
+def dec_residual(bearings: Array, flow: Array, v: Array, w: Array) -> Array:
+    """Evaluate the DEC, e = U^T [v]x X - X^T S X with S = ([v]x[w]x + [w]x[v]x) / 2.
+
+    Args:
+        bearings: (N, 2).
+        flow: (N, 2) in 1/s on the normalised plane.
+        v: (3,) linear velocity, any scale; or (N, 3), one for each bearing.
+        w: (3,) or (N, 3) angular velocity, rad/s.
+
+    Returns:
+        (N,) residuals. They vanish for the motion field of every depth and change their
+        sign with v.
+    """
+    a, b = motion_matrices(bearings)
+    translational = flow - _apply(b, w)
+    epipolar = _apply(a, v)
+    return translational[:, 1] * epipolar[:, 0] - translational[:, 0] * epipolar[:, 1]
+
+
+def cheirality(bearings: Array, flow: Array, v: Array, w: Array, weights: Array) -> float:
+    """Decide the sign of v that DEC leaves open, by positive depth.
+
+    Of +v and -v, the scene lies in front of the camera under the one with which more of
+    the translational flow U - B w agrees with A v.
+
+    Args:
+        bearings, flow: (N, 2) as in `dec_residual`.
+        v, w: (3,) or (N, 3).
+        weights: (N,) evidence of each sample.
+
+    Returns:
+        Agreement in [-1, 1]: its sign is the sign of v, its size the share of the
+        translational flow that agrees minus the share that contradicts.
+    """
+    a, b = motion_matrices(bearings)
+    along = np.einsum("ni,ni->n", flow - _apply(b, w), _apply(a, v))
+    along /= np.linalg.norm(_apply(a, v), axis=-1) + 1e-12
+    total = np.sum(weights * np.abs(along))
+    return float(np.sum(weights * along) / total) if total > 0 else 0.0
+
+
+def _apply(matrix: Array, vector: Array) -> Array:
+    """Multiply (N, 2, 3) by (3,) or (N, 3)."""
+    return np.einsum("nij,nj->ni", matrix, np.broadcast_to(vector, (len(matrix), 3)))
