@@ -1,0 +1,33 @@
+"""Build description of the ROS 2 package (ament_python)."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "emoflow_ros"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Camera egomotion and dense optical flow from event cameras.",
+    license="Apache-2.0",
+    python_requires=">=3.12",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*", "msg_adapters", "msg_adapters.*"]),
+    package_data={f"{PACKAGE}.offline": ["*.html", "templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*"))),
+    ],
+    extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            f"estimator = {PACKAGE}.node.estimator:main",
+            f"replay = {PACKAGE}.offline.replay:main",
+            f"evaluate = {PACKAGE}.offline.evaluate:main",
+            f"simulate = {PACKAGE}.simulation.simulate:main",
+            f"info = {PACKAGE}.offline.info:main",
+        ],
+    },
+)
