@@ -1,0 +1,124 @@
+"""Exact ground truth of a simulated recording: poses, twist, depth and flow at any time."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.simulation.raycast import Pose, RayCaster, exact_bearings
+from emoflow_ros.simulation.scenes import Scene
+from emoflow_ros.simulation.surfaces import MOVING
+
+Image = NDArray[np.float64]
+
+
+class GroundTruth:
+    """What really happened. Times are ns; images are (H, W) on the camera's own pixel grid.
+
+    Pixels whose ray the lens model does not define, or whose point is behind the camera at the
+    second time, are NaN.
+
+    Args:
+        camera: the camera, lens included.
+        scene: surfaces and motions.
+        caster: of the same camera and surfaces.
+        start: the time that the motions call zero, ns.
+    """
+
+    def __init__(self, camera: Camera, scene: Scene, caster: RayCaster, start: int) -> None:
+        self._camera = camera
+        self._scene = scene
+        self._caster = caster
+        self._start = start
+        bearings = exact_bearings(camera)
+        self._rays = np.concatenate([bearings, np.ones((*bearings.shape[:2], 1))], axis=-1)
+
+    def pose(self, t: int) -> NDArray[np.float64]:
+        """World-from-camera transform, (4, 4), metres."""
+        transform = np.eye(4)
+        transform[:3, :3], transform[:3, 3] = self._scene.camera.pose(self._seconds(t))
+        return transform
+
+    def twist(self, t: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Linear (3,) m/s and angular (3,) rad/s velocity of the camera in its optical frame."""
+        return self._scene.camera.twist(self._seconds(t))
+
+    def acceleration(self, t: int) -> NDArray[np.float64]:
+        """Acceleration (3,) m/s^2 of the camera's centre in the world's axes."""
+        return self._scene.camera.acceleration(self._seconds(t))
+
+    def depth(self, t: int) -> Image:
+        """Depth along the optical axis, (H, W) m."""
+        return self._cast(t)[0]
+
+    def moving_mask(self, t: int) -> NDArray[np.bool_]:
+        """Pixels (H, W) that see the independently moving object."""
+        return np.asarray(self._cast(t)[1] == MOVING)
+
+    def flow(self, t: int) -> Image:
+        """Instantaneous motion field of the distorted image, (H, W, 2) px/s."""
+        depth, body = self._cast(t)
+        points = self._rays * depth[..., None]
+        linear, angular = self.twist(t)
+        velocity = -linear - np.cross(angular, points)
+        on_mover = body == MOVING
+        velocity[on_mover] += self._mover_velocity(t, points[on_mover])
+        # d(X/Z)/dt, then through the lens.
+        normalised = (velocity[..., :2] - self._rays[..., :2] * velocity[..., 2:]) / depth[..., None]
+        _, lens = self._camera.distort(self._rays[..., :2])
+        focal = (self._camera.fx, self._camera.fy)
+        return np.asarray(np.einsum("...ij,...j->...i", lens, normalised) * focal)
+
+    def displacement(self, t0: int, t1: int) -> Image:
+        """Where the scene points that pixels see at t0 are at t1, minus the pixels: (H, W, 2)."""
+        depth, body = self._cast(t0)
+        points = self._rays * depth[..., None]
+        moved = _transform(self._from_to(t0, t1), points)
+        on_mover = body == MOVING
+        moved[on_mover] = _transform(self._mover_from_to(t0, t1), points[on_mover])
+        moved[moved[..., 2] <= 0] = np.nan
+        pixels = self._camera.project(points)
+        return self._camera.project(moved) - pixels
+
+    def bodies(self, t: int) -> tuple[Pose, Pose]:
+        """Poses of the static world and of the moving object."""
+        return (np.eye(3), np.zeros(3)), self._scene.mover.pose(self._seconds(t))
+
+    def camera_pose(self, t: int) -> Pose:
+        """Rotation world-from-camera and position."""
+        return self._scene.camera.pose(self._seconds(t))
+
+    def _seconds(self, t: int) -> float:
+        return (t - self._start) / NS_PER_S
+
+    def _cast(self, t: int) -> tuple[Image, NDArray[np.int64]]:
+        return self._caster.cast(self.camera_pose(t), self.bodies(t))
+
+    def _mover_velocity(self, t: int, points: Image) -> Image:
+        """Velocity of points (N, 3) on the mover against the world, in the camera's axes."""
+        seconds = self._seconds(t)
+        linear, angular = self._scene.mover.twist(seconds)
+        rotation, position = self._in_camera(t)
+        in_body = (points - position) @ rotation
+        return np.asarray((linear + np.cross(angular, in_body)) @ rotation.T)
+
+    def _in_camera(self, t: int) -> Pose:
+        """Pose camera-from-mover."""
+        rotation, position = self.camera_pose(t)
+        mover_rotation, mover_position = self._scene.mover.pose(self._seconds(t))
+        return rotation.T @ mover_rotation, rotation.T @ (mover_position - position)
+
+    def _from_to(self, t0: int, t1: int) -> NDArray[np.float64]:
+        """Static points: camera at t1 from camera at t0, (4, 4)."""
+        return np.asarray(np.linalg.inv(self.pose(t1)) @ self.pose(t0))
+
+    def _mover_from_to(self, t0: int, t1: int) -> NDArray[np.float64]:
+        """Points on the mover: camera at t1 from camera at t0, (4, 4)."""
+        before, after = np.eye(4), np.eye(4)
+        before[:3, :3], before[:3, 3] = self._in_camera(t0)
+        after[:3, :3], after[:3, 3] = self._in_camera(t1)
+        return np.asarray(after @ np.linalg.inv(before))
+
+
+def _transform(transform: NDArray[np.float64], points: Image) -> Image:
+    return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
