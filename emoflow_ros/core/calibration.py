@@ -37,14 +37,9 @@ def load_calibration(path: Path, size: tuple[int, int] | None = None) -> Camera:
         raise InputError(path, reason, "give a calibration file that can be read") from None
     except UnicodeDecodeError:
         raise InputError(path, "not a text file", "give a calibration file") from None
-    try:
-        if path.suffix.lower() in (".yaml", ".yml"):
-            return _from_camera_info(path, text)
-        return _from_text(path, text, size or DAVIS240C)
-    except InputError as error:
-        if str(error).startswith(str(path)):
-            raise
-        raise InputError(path, *_wrong_and_fix(error)) from None
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _from_camera_info(path, text)
+    return _from_text(path, text, size or DAVIS240C)
 
 
 def _from_camera_info(path: Path, text: str) -> Camera:
@@ -58,7 +53,8 @@ def _from_camera_info(path: Path, text: str) -> Camera:
     k = _floats(path, info, "camera_matrix")
     if len(k) != 9:
         raise InputError(path, f"camera_matrix has {len(k)} values", "give 9, row by row")
-    return Camera.from_intrinsic_matrix(
+    return _camera(
+        path,
         _integer(path, info, "image_width"),
         _integer(path, info, "image_height"),
         k,
@@ -76,16 +72,26 @@ def _from_text(path: Path, text: str, size: tuple[int, int]) -> Camera:
         raise InputError(path, f"holds {len(values)} numbers", _TEXT_FIX)
     fx, fy, cx, cy, *distortion = values
     matrix = (fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
-    return Camera.from_intrinsic_matrix(*size, matrix, "plumb_bob", distortion)
+    return _camera(path, *size, matrix, "plumb_bob", distortion)
+
+
+def _camera(
+    path: Path, width: int, height: int, k: Sequence[float], model: str, d: Sequence[float]
+) -> Camera:
+    """Build the camera; what it refuses is the file's fault."""
+    try:
+        return Camera.from_intrinsic_matrix(width, height, k, model, d)
+    except InputError as error:
+        wrong, _, fix = str(error).removeprefix("camera: ").partition("; ")
+        raise InputError(path, wrong, fix) from None
 
 
 def _floats(path: Path, info: dict[str, Any], name: str) -> Sequence[float]:
     try:
         return [float(value) for value in info[name]["data"]]
     except (KeyError, TypeError, ValueError):
-        raise InputError(path, f"{name}.data is missing or not a list of numbers", _YAML_FIX) from (
-            None
-        )
+        wrong = f"{name}.data is missing or not a list of numbers"
+        raise InputError(path, wrong, _YAML_FIX) from None
 
 
 def _integer(path: Path, info: dict[str, Any], name: str) -> int:

@@ -1,1 +1,44 @@
-"""Readers of recordings: one file is one format."""
+"""Readers of recordings: one file is one format, one line here registers it."""
+
+from pathlib import Path
+
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.bag import BagRecording
+from emoflow_ros.offline.readers.base import Recording, require_camera
+from emoflow_ros.offline.readers.ecd import EcdRecording
+
+__all__ = ["READERS", "Recording", "open_recording", "require_camera"]
+
+# The first whose `matches(path)` holds opens the recording.
+READERS = (
+    BagRecording,
+    EcdRecording,
+)
+
+
+def open_recording(
+    path: Path, *, topic: str | None = None, calibration: Path | None = None
+) -> Recording:
+    """Open a recording of any known format.
+
+    Args:
+        path: a bag (ROS 1 file, rosbag2 folder or storage file) or a data set's file or folder.
+        topic: the event topic or data set inside it, where there are several.
+        calibration: a calibration file that takes the place of the recording's own.
+
+    Returns:
+        The recording, opened: use it as a context manager.
+
+    Raises:
+        InputError: no such path, no known format, or contents that cannot be used.
+    """
+    if not path.exists():
+        raise InputError(path, "no such file or folder", "check the path")
+    for reader in READERS:
+        if reader.matches(path):
+            return reader(path, topic=topic, calibration=calibration)
+    raise InputError(
+        path,
+        "not a recording of a known format",
+        "give " + ", ".join(reader.FORMAT for reader in READERS[:-1]) + f" or {READERS[-1].FORMAT}",
+    )

@@ -1,0 +1,140 @@
+"""What every reader offers, and the checks that all of them share."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
+
+# A few stray events are a sensor's glitch; more than this share is another sensor's geometry.
+MAX_OUTSIDE_SHARE = 0.01
+_MIN_JUDGED = 1000
+
+
+class Recording(Protocol):
+    """An opened recording of one event camera. Use as a context manager.
+
+    Attributes:
+        path: the file or folder.
+        topic: the event topic or data set inside it; empty where there is only one.
+        camera: the calibrated camera; None where neither the recording nor a file gives one.
+        duration: length in seconds, for progress; None where only reading would tell.
+    """
+
+    path: Path
+    topic: str
+    camera: Camera | None
+    duration: float | None
+
+    def event_chunks(self) -> Iterator[Events]:
+        """Stream the events from the start, in order of time, in chunks that fit in memory.
+
+        Raises:
+            InputError: damaged data, times that go backwards, events outside the sensor.
+        """
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+def require_camera(recording: Recording) -> Camera:
+    """Return the recording's camera.
+
+    Raises:
+        InputError: it has no calibration.
+    """
+    if recording.camera is None:
+        raise InputError(
+            recording.path,
+            "holds no camera calibration",
+            "give one with --calib FILE (camera_info YAML or ECD calib.txt)",
+        )
+    return recording.camera
+
+
+class StreamCheck:
+    """Check chunk after chunk of a stream: order of time, and events outside the sensor.
+
+    Args:
+        path: what to name in errors.
+        width, height: the sensor in px.
+    """
+
+    def __init__(self, path: Path, width: int, height: int) -> None:
+        self._path = path
+        self._width = width
+        self._height = height
+        self._last: int | None = None
+        self.seen = 0
+        self.outside = 0
+
+    def __call__(self, events: Events, dropped: int = 0) -> Events:
+        """Return the chunk without the events outside the sensor.
+
+        Args:
+            events: the next chunk.
+            dropped: events outside the sensor that the decoder has already left out.
+
+        Raises:
+            InputError: time goes backwards, or too many events are outside.
+        """
+        inside = events.inside(self._width, self._height)
+        if not inside.all():
+            dropped += int((~inside).sum())
+            events = events[inside]
+        self.seen += len(events) + dropped
+        self.outside += dropped
+        if self.seen >= _MIN_JUDGED:
+            self._judge_outside()
+        self._check_order(events)
+        return events
+
+    def finish(self) -> None:
+        """Say what the whole stream shows.
+
+        Raises:
+            InputError: no events at all, or too many outside.
+        """
+        if self.seen == 0:
+            raise InputError(self._path, "holds no events", "give a recording that has some")
+        self._judge_outside()
+
+    def _judge_outside(self) -> None:
+        if self.outside > MAX_OUTSIDE_SHARE * self.seen:
+            raise InputError(
+                self._path,
+                f"{self.outside} of {self.seen} events lie outside the "
+                f"{self._width}x{self._height} sensor",
+                "give the calibration of the sensor that recorded it",
+            )
+
+    def _check_order(self, events: Events) -> None:
+        if len(events) == 0:
+            return
+        last = int(events.t[0]) if self._last is None else self._last
+        backwards = events.t[1:] < events.t[:-1]
+        if events.t[0] < last:
+            self._refuse_order(last, int(events.t[0]))
+        if backwards.any():
+            i = int(backwards.argmax())
+            self._refuse_order(int(events.t[i]), int(events.t[i + 1]))
+        self._last = int(events.t[-1])
+
+    def _refuse_order(self, before: int, after: int) -> None:
+        raise InputError(
+            self._path,
+            f"event times are not sorted ({after / NS_PER_S:.6f} s follows "
+            f"{before / NS_PER_S:.6f} s)",
+            "sort the events by time",
+        )
