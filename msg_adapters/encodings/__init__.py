@@ -1,0 +1,1 @@
+"""One file per encoding of event_camera_msgs/EventPacket."""

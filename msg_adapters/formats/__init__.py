@@ -1,0 +1,1 @@
+"""One file per message type: each defines TYPES (ROS names) and DECODER (its class)."""

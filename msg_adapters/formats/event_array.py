@@ -1,0 +1,84 @@
+"""dvs_msgs/EventArray and prophesee_event_msgs/EventArray: an array of event structs.
+
+Fields: Header header, uint32 height, uint32 width, Event[] events; Event: uint16 x, uint16 y,
+time ts, bool polarity. ROS 1 packs an event into 13 bytes. CDR aligns each member on its own,
+not the struct: one event starts 16 bytes after the other, but x and y of all but the first
+follow the polarity of the event before after one byte of padding, and two more precede ts:
+
+    first   x y | seconds nanoseconds polarity
+    others  . x y . . | seconds nanoseconds polarity        (. is padding)
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from emoflow_ros.core.events import Events
+from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
+from msg_adapters.wire import NS_PER_S, Cursor, DecodeError, Serialization
+
+TYPES = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
+
+_EVENT_SIZE = 13  # without padding
+_ALIGNMENT = 2  # of an event's first member
+
+
+class _Layout(NamedTuple):
+    """Bytes between events, where the second one starts, and the type of seconds."""
+
+    stride: int
+    next: int
+    seconds: str
+
+
+_CDR = _Layout(16, 14, "i4")
+_ROS1 = _Layout(13, 13, "u4")
+
+
+class EventArrayDecoder:
+    """Decode dvs_msgs/EventArray; carries no state between messages."""
+
+    def __init__(self, serialization: Serialization) -> None:
+        self.statistics = Statistics()
+        self._serialization = serialization
+        self._layout = _CDR if serialization == "cdr" else _ROS1
+
+    def decode(self, data: Bytes) -> EventMessage:
+        """Decode one message; see Decoder."""
+        cursor = Cursor(data, self._serialization)
+        header = cursor.header()
+        height, width = cursor.scalar("I"), cursor.scalar("I")
+        events = self._events(cursor)
+        cursor.finish()
+        return build_message(header, width, height, events, self.statistics)
+
+    def reset(self) -> None:
+        """Do nothing: there is no state."""
+
+    def _events(self, cursor: Cursor) -> Events:
+        count = cursor.scalar("I")
+        if count == 0:
+            return Events.empty()
+        cursor.align(_ALIGNMENT)
+        layout = self._layout
+        size = (count - 1) * layout.stride + _EVENT_SIZE
+        if size > cursor.remaining:
+            raise DecodeError(f"{count} events announced in {cursor.remaining} bytes")
+        data = cursor.take(size)
+        order = cursor.order
+        address = np.dtype([("x", f"{order}u2"), ("y", f"{order}u2")])
+        value = np.dtype([("s", f"{order}{layout.seconds}"), ("ns", f"{order}u4"), ("p", "u1")])
+        first = np.ndarray((1,), address, data)
+        others = np.ndarray((count - 1,), address, data[layout.next :], strides=(layout.stride,))
+        values = np.ndarray((count,), value, data[address.itemsize :], strides=(layout.stride,))
+
+        x, y = np.empty(count, np.uint16), np.empty(count, np.uint16)
+        x[:1], y[:1] = first["x"], first["y"]
+        x[1:], y[1:] = others["x"], others["y"]
+        t = values["s"].astype(np.int64)
+        t *= NS_PER_S
+        t += values["ns"]
+        return Events(x, y, t, values["p"] != 0)
+
+
+DECODER = EventArrayDecoder

@@ -1,0 +1,104 @@
+"""What every decoder takes, returns, counts and raises."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.events import Events
+from msg_adapters.wire import Header
+
+type Bytes = bytes | bytearray | memoryview | NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class EventMessage:
+    """The events of one message, in the order of the message.
+
+    Attributes:
+        events: the events inside the sensor; their times are the message's own (sensor time
+            where the driver sends that), in ns.
+        width, height: the sensor's size in pixels as the message gives it; 0 where it gives
+            none, and then no event counts as outside.
+        stamp: the header's stamp, ns.
+        frame_id: the header's frame.
+        seq: the packet's running number, where the type has one.
+        dropped_outside: events outside the sensor's geometry, which are not in `events`.
+    """
+
+    events: Events
+    width: int
+    height: int
+    stamp: int
+    frame_id: str
+    seq: int | None
+    dropped_outside: int
+
+
+@dataclass(slots=True)
+class Statistics:
+    """What a decoder has seen since it was made; `reset()` keeps it.
+
+    Attributes:
+        messages, events: decoded so far.
+        dropped_outside: events outside the sensor's geometry.
+        seq_gaps: messages missing by their running numbers.
+        time_wraps: roll-overs of the sensor's clock.
+        triggers: external trigger events, which are skipped.
+        skipped: events before time or row was known, and words that mean nothing.
+        encoding: of the last message, where the type has several; empty otherwise.
+    """
+
+    messages: int = 0
+    events: int = 0
+    dropped_outside: int = 0
+    seq_gaps: int = 0
+    time_wraps: int = 0
+    triggers: int = 0
+    skipped: int = 0
+    encoding: str = ""
+
+
+class Decoder(Protocol):
+    """Decodes the messages of one topic in order; several topics need several decoders."""
+
+    statistics: Statistics
+
+    def decode(self, data: Bytes) -> EventMessage:
+        """Decode one serialised message. `data` may be reused by the caller afterwards.
+
+        Raises:
+            DecodeError: the bytes are not a message of this type. The decoder stays usable.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Forget the state carried between messages, for example on a jump in time."""
+        ...
+
+
+def build_message(
+    header: Header,
+    width: int,
+    height: int,
+    events: Events,
+    statistics: Statistics,
+    *,
+    seq: int | None = None,
+    dropped: int = 0,
+) -> EventMessage:
+    """Drop and count the events outside width x height (0: unknown), and add up statistics.
+
+    `dropped` events of the message have been left out as outside before.
+    """
+    known = width > 0 and height > 0 and len(events) > 0
+    # Two maxima cost less than a mask; the mask is for the rare stream that needs it.
+    if known and (events.x.max() >= width or events.y.max() >= height):
+        inside = events.inside(width, height)
+        dropped += len(events) - int(np.count_nonzero(inside))
+        events = events[inside]
+    statistics.messages += 1
+    statistics.events += len(events)
+    statistics.dropped_outside += dropped
+    return EventMessage(events, width, height, header.stamp, header.frame_id, seq, dropped)

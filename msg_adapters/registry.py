@@ -1,0 +1,48 @@
+"""Finds the decoder of a ROS type. Modules in `formats/` register themselves."""
+
+import importlib
+import pkgutil
+from collections.abc import Callable
+from functools import cache
+
+import msg_adapters.formats
+from msg_adapters.message import Decoder
+from msg_adapters.wire import DecodeError, Serialization
+
+type Factory = Callable[[Serialization], Decoder]
+
+
+def make_decoder(ros_type: str, serialization: Serialization) -> Decoder:
+    """Make the decoder for one topic, compiled and ready for its first message.
+
+    Args:
+        ros_type: as in `dvs_msgs/msg/EventArray`, or the ROS 1 form `dvs_msgs/EventArray`.
+        serialization: `cdr` (ROS 2) or `ros1`.
+
+    Raises:
+        DecodeError: no decoder for the type (names those that exist), or an unknown
+            serialisation.
+    """
+    if serialization not in ("cdr", "ros1"):
+        raise DecodeError(f"unknown serialisation '{serialization}': use cdr or ros1")
+    package, _, name = ros_type.partition("/")
+    factory = _factories().get(f"{package}/msg/{name.removeprefix('msg/')}")
+    if factory is None:
+        raise DecodeError(f"no decoder for '{ros_type}': use one of {', '.join(supported_types())}")
+    return factory(serialization)
+
+
+def supported_types() -> tuple[str, ...]:
+    """ROS types with a decoder, in the form `package/msg/Name`."""
+    return tuple(sorted(_factories()))
+
+
+@cache
+def _factories() -> dict[str, Factory]:
+    """Collect TYPES and make_decoder of every module in `formats/`."""
+    package = msg_adapters.formats
+    factories: dict[str, Factory] = {}
+    for found in pkgutil.iter_modules(package.__path__):
+        module = importlib.import_module(f"{package.__name__}.{found.name}")
+        factories |= dict.fromkeys(module.TYPES, module.DECODER)
+    return factories
