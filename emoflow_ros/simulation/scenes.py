@@ -96,16 +96,17 @@ def _forward(duration_s: float, rng: np.random.Generator) -> Scene:
 def _driving(duration_s: float, rng: np.random.Generator) -> Scene:
     speed, eye = 12.0, 1.5
     length = speed * duration_s + 100.0
-    # The outermost box: the road below, hills beside and ahead, the sky above.
-    quads = cuboid(
-        (0, eye - 30, length / 2 - 10), (90, 60, length + 20), 0, Look(TEXTURES, 0.012, 0.9), rng
-    )
+    road = Look(TEXTURES, 0.012)
+    # The outermost box: meadows below, hills beside and ahead, the sky above.
+    far = Look(TEXTURES, 0.06, contrast=0.8)
+    quads = cuboid((0, eye - 29.9, length / 2 - 10), (90, 60, length + 20), 0, far, rng)
+    quads += cuboid((0, eye + 0.05, length / 2 - 10), (14, 0.1, length + 20), 0, road, rng)
     for side in (-1, 1):
         z = -5.0
         while z < length - 20:
             depth, height, setback = rng.uniform((8, 4, 5), (20, 12, 8))
             centre = (side * (setback + 4), eye - height / 2, z + depth / 2)
-            quads += cuboid(centre, (8, height, depth), 0, Look(TEXTURES, 0.012), rng)
+            quads += cuboid(centre, (8, height, depth), 0, road, rng)
             z += depth + rng.uniform(0, 6)
         for z in np.arange(4.0, length - 20, 12.0):  # parked cars and the like
             centre = (side * rng.uniform(3.0, 3.8), eye - 0.75, z + rng.uniform(0, 6))
