@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.simulation.surfaces import Quad
 from emoflow_ros.simulation.textures import LEVELS, SIZE, TextureSet
+from emoflow_ros.simulation.trajectory import Pose
 
 _TILE = 16
-Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class RayCaster:
@@ -25,13 +25,11 @@ class RayCaster:
     Args:
         camera: the camera, whose lens model gives the rays.
         quads: the rectangles.
-        textures: what is painted on them.
     """
 
-    def __init__(self, camera: Camera, quads: Sequence[Quad], textures: TextureSet) -> None:
+    def __init__(self, camera: Camera, quads: Sequence[Quad]) -> None:
         self._bearings = exact_bearings(camera)
         self._focal = float(np.sqrt(camera.fx * camera.fy))
-        self._textures = textures
         self._body = np.array([quad.body for quad in quads])
         self._corner = np.array([quad.corner for quad in quads])
         edges = np.array([[quad.along_u, quad.along_v] for quad in quads])
@@ -42,12 +40,15 @@ class RayCaster:
         self._paint = np.array([[quad.texel, quad.contrast, quad.shade] for quad in quads])
         self._tiles = _tile_bounds(self._bearings)
 
-    def render(self, camera: Pose, bodies: Sequence[Pose]) -> NDArray[np.float32]:
+    def render(
+        self, camera: Pose, bodies: Sequence[Pose], textures: TextureSet
+    ) -> NDArray[np.float32]:
         """Log intensity (H, W) seen from a pose, through an optical blur of about one pixel.
 
         Args:
             camera: rotation world-from-camera and position.
             bodies: the same for each body that carries rectangles, by body number.
+            textures: what is painted on the rectangles.
         """
         image = np.zeros(self._bearings.shape[:2], np.float32)
         _render(
@@ -57,8 +58,8 @@ class RayCaster:
             self._size,
             self._texture,
             self._paint,
-            self._textures.texels,
-            self._textures.level_start,
+            textures.texels,
+            textures.level_start,
             self._focal,
             image,
         )
@@ -71,9 +72,7 @@ class RayCaster:
 
         Where nothing is hit, or the lens model has no ray, the depth is NaN and the body -1.
         """
-        depth, quad = _cast(
-            self._bearings, self._tiles, self._matrices(camera, bodies), self._size
-        )
+        depth, quad = _cast(self._bearings, self._tiles, self._matrices(camera, bodies), self._size)
         return depth, np.where(quad >= 0, self._body[quad], -1)
 
     def _matrices(self, camera: Pose, bodies: Sequence[Pose]) -> NDArray[np.float64]:

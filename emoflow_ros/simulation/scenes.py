@@ -7,7 +7,7 @@ import numpy as np
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.surfaces import MOVING, Look, Quad, cuboid
-from emoflow_ros.simulation.trajectory import PITCH, ROLL, YAW, Trajectory, Wave, X, Y, Z
+from emoflow_ros.simulation.trajectory import PITCH, ROLL, YAW, Pose, Trajectory, Wave, X, Y, Z
 
 TEXTURES = 6
 _QUIET_HZ = 0.1
@@ -28,6 +28,10 @@ class Scene:
     camera: Trajectory
     mover: Trajectory = field(default_factory=Trajectory)
     noise_hz: float = _QUIET_HZ
+
+    def poses(self, t: float) -> tuple[Pose, tuple[Pose, Pose]]:
+        """Poses at t in s: the camera's, and those of the bodies STATIC and MOVING."""
+        return self.camera.pose(t), ((np.eye(3), np.zeros(3)), self.mover.pose(t))
 
 
 SceneBuilder = Callable[[float, np.random.Generator], Scene]

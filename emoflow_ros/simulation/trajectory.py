@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
+Pose = tuple[NDArray[np.float64], Vector]  # rotation world-from-body (3, 3), position (3,)
 
 # Channels of a path.
 X, Y, Z, YAW, PITCH, ROLL = range(6)
@@ -53,7 +54,7 @@ class Trajectory:
         self._omega = 2 * np.pi * np.array([wave.frequency for wave in waves])
         self._phase = np.array([wave.phase for wave in waves])
 
-    def pose(self, t: float) -> tuple[NDArray[np.float64], Vector]:
+    def pose(self, t: float) -> Pose:
         """Rotation world-from-body (3, 3) and position (3,) in m at time t in s."""
         q = self._channels(t, 0)
         return _rotation_y(q[YAW]) @ _rotation_x(q[PITCH]) @ _rotation_z(q[ROLL]), q[:3]

@@ -1,13 +1,16 @@
 """Exact ground truth of a simulated recording: poses, twist, depth and flow at any time."""
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.simulation.raycast import Pose, RayCaster, exact_bearings
+from emoflow_ros.simulation.raycast import RayCaster, exact_bearings
 from emoflow_ros.simulation.scenes import Scene
 from emoflow_ros.simulation.surfaces import MOVING
+from emoflow_ros.simulation.trajectory import Pose
 
 Image = NDArray[np.float64]
 
@@ -21,14 +24,13 @@ class GroundTruth:
     Args:
         camera: the camera, lens included.
         scene: surfaces and motions.
-        caster: of the same camera and surfaces.
         start: the time that the motions call zero, ns.
     """
 
-    def __init__(self, camera: Camera, scene: Scene, caster: RayCaster, start: int) -> None:
+    def __init__(self, camera: Camera, scene: Scene, start: int) -> None:
         self._camera = camera
         self._scene = scene
-        self._caster = caster
+        self._caster = RayCaster(camera, scene.quads)
         self._start = start
         bearings = exact_bearings(camera)
         self._rays = np.concatenate([bearings, np.ones((*bearings.shape[:2], 1))], axis=-1)
@@ -64,7 +66,9 @@ class GroundTruth:
         on_mover = body == MOVING
         velocity[on_mover] += self._mover_velocity(t, points[on_mover])
         # d(X/Z)/dt, then through the lens.
-        normalised = (velocity[..., :2] - self._rays[..., :2] * velocity[..., 2:]) / depth[..., None]
+        normalised = (velocity[..., :2] - self._rays[..., :2] * velocity[..., 2:]) / depth[
+            ..., None
+        ]
         _, lens = self._camera.distort(self._rays[..., :2])
         focal = (self._camera.fx, self._camera.fy)
         return np.asarray(np.einsum("...ij,...j->...i", lens, normalised) * focal)
@@ -80,19 +84,16 @@ class GroundTruth:
         pixels = self._camera.project(points)
         return self._camera.project(moved) - pixels
 
-    def bodies(self, t: int) -> tuple[Pose, Pose]:
-        """Poses of the static world and of the moving object."""
-        return (np.eye(3), np.zeros(3)), self._scene.mover.pose(self._seconds(t))
-
-    def camera_pose(self, t: int) -> Pose:
-        """Rotation world-from-camera and position."""
-        return self._scene.camera.pose(self._seconds(t))
+    def rectified(self) -> "GroundTruth":
+        """The same truth on the pixel grid of the camera without its lens distortion."""
+        ideal = dataclasses.replace(self._camera, model="none", distortion=())
+        return GroundTruth(ideal, self._scene, self._start)
 
     def _seconds(self, t: int) -> float:
         return (t - self._start) / NS_PER_S
 
     def _cast(self, t: int) -> tuple[Image, NDArray[np.int64]]:
-        return self._caster.cast(self.camera_pose(t), self.bodies(t))
+        return self._caster.cast(*self._scene.poses(self._seconds(t)))
 
     def _mover_velocity(self, t: int, points: Image) -> Image:
         """Velocity of points (N, 3) on the mover against the world, in the camera's axes."""
@@ -104,8 +105,8 @@ class GroundTruth:
 
     def _in_camera(self, t: int) -> Pose:
         """Pose camera-from-mover."""
-        rotation, position = self.camera_pose(t)
-        mover_rotation, mover_position = self._scene.mover.pose(self._seconds(t))
+        (rotation, position), bodies = self._scene.poses(self._seconds(t))
+        mover_rotation, mover_position = bodies[MOVING]
         return rotation.T @ mover_rotation, rotation.T @ (mover_position - position)
 
     def _from_to(self, t0: int, t1: int) -> NDArray[np.float64]:

@@ -1,0 +1,157 @@
+"""ROS messages as bytes, in ROS 1 and in CDR serialisation; events without per-event objects."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+from scipy.spatial.transform import Rotation
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
+
+EVENT_ARRAY = "dvs_msgs/msg/EventArray"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMU = "sensor_msgs/msg/Imu"
+IMAGE = "sensor_msgs/msg/Image"
+POSE = "geometry_msgs/msg/PoseStamped"
+
+OPTICAL_FRAME = "davis_left_optical"
+WORLD_FRAME = "world"
+
+_EVENT_MSG = "uint16 x\nuint16 y\n{time} ts\nbool polarity\n"
+_EVENT_ARRAY_MSG = "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n"
+_ROS1_RECORD = np.dtype(
+    [("x", "<u2"), ("y", "<u2"), ("sec", "<u4"), ("nanosec", "<u4"), ("polarity", "u1")]
+)
+_CDR_RECORD = np.dtype(
+    {
+        "names": ["x", "y", "sec", "nanosec", "polarity"],
+        "formats": ["<u2", "<u2", "<i4", "<u4", "u1"],
+        "offsets": [0, 2, 4, 8, 12],
+        "itemsize": 16,
+    }
+)
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Angular velocity (3,) rad/s and specific force (3,) m/s^2 in the optical frame."""
+
+    angular: NDArray[np.float64]
+    force: NDArray[np.float64]
+
+
+class MessageEncoder:
+    """Builds and serialises the messages of a recording.
+
+    Args:
+        ros1: ROS 1 serialisation and types, otherwise ROS 2's CDR, little endian.
+    """
+
+    def __init__(self, *, ros1: bool) -> None:
+        self.ros1 = ros1
+        self.typestore = _typestore(ros1)
+        self._types: dict[str, Any] = dict(self.typestore.types)
+        self._record = _ROS1_RECORD if ros1 else _CDR_RECORD
+
+    def events(self, stamp: int, camera: Camera, events: Events) -> bytes:
+        """dvs_msgs/EventArray; stamp in ns."""
+        empty = self._types[EVENT_ARRAY](
+            self._header(stamp, OPTICAL_FRAME), camera.height, camera.width, []
+        )
+        records = np.zeros(len(events), self._record)
+        records["x"], records["y"] = events.x, events.y
+        records["sec"], records["nanosec"] = np.divmod(events.t, NS_PER_S)
+        records["polarity"] = events.p
+        body = records.tobytes()
+        if not self.ros1:  # CDR pads between records, not after the last
+            body = body[: len(body) - 3]
+        # A message without events ends in their count.
+        count = len(events).to_bytes(4, "little")
+        return self._serialize(empty, EVENT_ARRAY)[:-4] + count + body
+
+    def camera_info(self, stamp: int, camera: Camera) -> bytes:
+        """sensor_msgs/CameraInfo; P is K, so the rectified image keeps the intrinsics."""
+        k = camera.intrinsic_matrix
+        model, coefficients = ros_distortion(camera)
+        projection = np.hstack([k, np.zeros((3, 1))])
+        roi = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        matrices = {"d": np.array(coefficients), "k": k, "r": np.eye(3), "p": projection}
+        info = self._types[CAMERA_INFO](
+            header=self._header(stamp, OPTICAL_FRAME),
+            height=camera.height,
+            width=camera.width,
+            distortion_model=model,
+            binning_x=0,
+            binning_y=0,
+            roi=roi,
+            **{name.upper() if self.ros1 else name: m.ravel() for name, m in matrices.items()},
+        )
+        return self._serialize(info, CAMERA_INFO)
+
+    def imu(self, stamp: int, sample: ImuSample) -> bytes:
+        """sensor_msgs/Imu without orientation (its covariance starts with -1)."""
+        quaternion = self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        no_orientation = np.zeros(9)
+        no_orientation[0] = -1
+        message = self._types[IMU](
+            self._header(stamp, OPTICAL_FRAME),
+            quaternion,
+            no_orientation,
+            self._vector("Vector3", sample.angular),
+            np.zeros(9),
+            self._vector("Vector3", sample.force),
+            np.zeros(9),
+        )
+        return self._serialize(message, IMU)
+
+    def depth_image(self, stamp: int, depth: NDArray[np.float64]) -> bytes:
+        """sensor_msgs/Image 32FC1 of depths (H, W) in m."""
+        height, width = depth.shape
+        data = depth.astype("<f4").view(np.uint8).ravel()
+        header = self._header(stamp, OPTICAL_FRAME)
+        message = self._types[IMAGE](header, height, width, "32FC1", 0, 4 * width, data)
+        return self._serialize(message, IMAGE)
+
+    def pose(self, stamp: int, transform: NDArray[np.float64]) -> bytes:
+        """geometry_msgs/PoseStamped of world-from-camera (4, 4)."""
+        quaternion = Rotation.from_matrix(transform[:3, :3]).as_quat()
+        orientation = self._types["geometry_msgs/msg/Quaternion"](*map(float, quaternion))
+        position = self._vector("Point", transform[:3, 3])
+        pose = self._types["geometry_msgs/msg/Pose"](position, orientation)
+        return self._serialize(self._types[POSE](self._header(stamp, WORLD_FRAME), pose), POSE)
+
+    def _vector(self, kind: str, values: NDArray[np.float64]) -> Any:
+        return self._types[f"geometry_msgs/msg/{kind}"](*map(float, values))
+
+    def _header(self, stamp: int, frame: str) -> Any:
+        time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp, NS_PER_S))
+        fields = {"stamp": time, "frame_id": frame}
+        if self.ros1:
+            fields["seq"] = 0
+        return self._types["std_msgs/msg/Header"](**fields)
+
+    def _serialize(self, message: Any, name: str) -> bytes:
+        store = self.typestore
+        return bytes(
+            store.serialize_ros1(message, name) if self.ros1 else store.serialize_cdr(message, name)
+        )
+
+
+def ros_distortion(camera: Camera) -> tuple[str, tuple[float, ...]]:
+    """Name and coefficients as CameraInfo writes them: no lens is a plumb_bob of zeros."""
+    if camera.model == "none":
+        return "plumb_bob", (0.0,) * 5
+    return camera.model, camera.distortion
+
+
+def _typestore(ros1: bool) -> Typestore:
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    time = "time" if ros1 else "builtin_interfaces/Time"
+    store.register(get_types_from_msg(_EVENT_MSG.format(time=time), "dvs_msgs/msg/Event"))
+    store.register(get_types_from_msg(_EVENT_ARRAY_MSG, EVENT_ARRAY))
+    return store
