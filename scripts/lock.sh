@@ -3,8 +3,12 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-for name in requirements requirements-ros requirements-messages; do
+lock() {
     .venv/bin/uv pip compile --quiet --upgrade --no-header --no-annotate \
         --no-emit-index-url --no-emit-find-links \
-        --python .venv/bin/python "$name.in" --output-file "$name.lock"
-done
+        --python .venv/bin/python "$1.in" --output-file "$1.lock" "${@:2}"
+}
+
+lock requirements
+lock requirements-ros --constraints requirements.lock  # both go into one environment
+lock requirements-messages

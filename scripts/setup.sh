@@ -43,7 +43,7 @@ find_python() {
 # Digest of what decides the contents of .venv and install/; the sources themselves are linked.
 digest() {
     {
-        cat scripts/setup.sh requirements.in requirements.lock requirements-ros.lock
+        cat scripts/setup.sh requirements{,-ros}.{in,lock}
         cat package.xml setup.py setup.cfg
         find launch config resource -type f | sort
         [ -d "$ROS" ] && echo "$ROS"
@@ -65,12 +65,13 @@ make_venv() {
 # The lock constrains and does not list what to install, so that a CPU build of PyTorch
 # (UV_TORCH_BACKEND=cpu) leaves the CUDA libraries out.
 install_requirements() {
-    local install=("$VENV/bin/uv" pip install --python "$VENV/bin/python")
+    local names=(requirements) options=() name
+    [ -d "$ROS" ] || names+=(requirements-ros)
+    for name in "${names[@]}"; do
+        options+=(--requirements "$name.in" --constraints "$name.lock")
+    done
     echo "setup: requirements (several gigabytes the first time)"
-    "${install[@]}" --requirements requirements.in --constraints requirements.lock
-    if [ ! -d "$ROS" ]; then
-        "${install[@]}" --requirements requirements-ros.lock
-    fi
+    "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "${options[@]}"
 }
 
 build_package() {

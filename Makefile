@@ -1,0 +1,49 @@
+# `make demo` and `make test` do all of their own set-up; `make help` lists the rest.
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.DEFAULT_GOAL := help
+ENV := set +u; source scripts/env.sh; set -u
+
+.PHONY: help setup messages demo test lint bench fuzz soak clean
+
+help:  ## list the targets
+	@grep -E '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 12
+
+setup:  ## virtual environment, requirements, colcon build of the package into install/
+	@scripts/setup.sh
+
+messages: setup  ## message packages of the event camera drivers, where not installed
+	@scripts/build_test_messages.sh
+
+demo: messages  ## simulate, replay through the running node, report in out/demo/
+	@$(ENV)
+	python -m emoflow_ros.offline.demo
+
+lint: setup  ## style and types
+	@$(ENV)
+	ruff check .
+	ruff format --check .
+	mypy
+
+test: messages lint  ## lint, types and all tests but the long ones
+	@$(ENV)
+	python -m pytest -m "not soak" $(PYTEST_ARGS)
+
+bench: setup  ## all of benchmarks/
+	@$(ENV)
+	for benchmark in benchmarks/[a-z]*.py; do
+		echo "== $$benchmark"
+		python "$$benchmark"
+	done
+
+fuzz: setup  ## decoders on random bytes
+	@$(ENV)
+	python test/msg_adapters/fuzz_decoders.py
+
+soak: messages  ## the tests that take minutes
+	@$(ENV)
+	python -m pytest -m soak --timeout 3600 $(PYTEST_ARGS)
+
+clean:  ## remove everything that the other targets made
+	rm -rf .venv .test_messages build install log out .mypy_cache .pytest_cache .ruff_cache
