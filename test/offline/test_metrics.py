@@ -1,0 +1,109 @@
+"""Metrics against hand-computed cases and against a slow, obvious implementation."""
+
+import math
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.offline import metrics
+
+
+def slow_flow_errors(flow, truth, mask):
+    """One pixel after the other, with `math` only."""
+    epe, above, angle, length = [], [0, 0, 0], [], []
+    for y in range(flow.shape[0]):
+        for x in range(flow.shape[1]):
+            (u, v), (a, b) = flow[y, x], truth[y, x]
+            if not mask[y, x] or not (math.isfinite(u) and math.isfinite(v)):
+                continue
+            error = math.sqrt((u - a) ** 2 + (v - b) ** 2)
+            epe.append(error)
+            for i, limit in enumerate((1, 2, 3)):
+                above[i] += error > limit
+            cosine = (u * a + v * b + 1) / math.sqrt((u * u + v * v + 1) * (a * a + b * b + 1))
+            angle.append(math.degrees(math.acos(min(1.0, max(-1.0, cosine)))))
+            length.append(math.sqrt(a * a + b * b))
+    n = len(epe)
+    return sum(epe) / n, *(100 * k / n for k in above), sum(angle) / n, sum(length) / n, n
+
+
+def test_hand_computed_flow_errors():
+    # Errors of 5, 0 and 1.5 px; the fourth pixel is masked out.
+    flow = np.array([[[3.0, 4.0], [1.0, 0.0]], [[0.0, 2.5], [9.0, 9.0]]])
+    truth = np.array([[[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 0.0]]])
+    errors = metrics.flow_errors(flow, truth, np.array([[True, True], [True, False]]))
+    assert errors.pixels == 3
+    assert errors.epe_px == pytest.approx(6.5 / 3)
+    assert errors.pe1 == pytest.approx(200 / 3)
+    assert errors.pe2 == pytest.approx(100 / 3)
+    assert errors.pe3 == pytest.approx(100 / 3)
+    assert errors.truth_px == pytest.approx(2 / 3)
+    first = math.degrees(math.acos(1 / math.sqrt(26)))
+    third = math.degrees(math.acos((2.5 + 1) / math.sqrt((2.5**2 + 1) * 2)))
+    assert errors.ae_deg == pytest.approx((first + third) / 3)
+
+
+def test_exactly_three_pixels_is_no_outlier():
+    truth = np.zeros((1, 2, 2))
+    flow = np.array([[[3.0, 0.0], [3.001, 0.0]]])
+    assert metrics.flow_errors(flow, truth, np.ones((1, 2), bool)).pe3 == 50.0
+
+
+def test_flow_errors_equal_the_slow_implementation():
+    rng = np.random.default_rng(1)
+    truth = rng.normal(0, 4, (13, 17, 2))
+    flow = truth + rng.normal(0, 2, truth.shape)
+    flow[2, 3] = np.nan
+    mask = rng.random((13, 17)) < 0.6
+    mask[2, 3] = True
+    e = metrics.flow_errors(flow, truth, mask)
+    ours = (e.epe_px, e.pe1, e.pe2, e.pe3, e.ae_deg, e.truth_px, e.pixels)
+    assert ours == pytest.approx(slow_flow_errors(flow, truth, mask), rel=1e-9)
+
+
+def test_nothing_to_compare_is_none():
+    nothing = np.full((2, 2, 2), np.nan)
+    assert metrics.flow_errors(nothing, np.ones((2, 2, 2)), np.ones((2, 2), bool)) is None
+
+
+def test_event_mask_marks_the_pixels_with_events():
+    events = Events(
+        np.array([0, 2, 2], np.uint16),
+        np.array([1, 0, 0], np.uint16),
+        np.array([1, 2, 3], np.int64),
+        np.array([True, False, True]),
+    )
+    expected = np.array([[False, False, True], [True, False, False]])
+    np.testing.assert_array_equal(metrics.event_mask(events, 3, 2), expected)
+
+
+def test_known_flow_needs_both_components_finite_and_not_zero():
+    truth = np.array([[[1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [np.nan, 1.0], [-1.0, -0.1]]])
+    expected = [[True, False, False, False, True]]
+    np.testing.assert_array_equal(metrics.known_flow_mask(truth), expected)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "degrees"),
+    [
+        ([1, 0, 0], [2, 0, 0], 0.0),
+        ([1, 0, 0], [0, 5, 0], 90.0),
+        ([1, 0, 0], [-1, 0, 0], 180.0),  # the sign counts
+        ([1, 1, 0], [1, 0, 0], 45.0),
+        ([1, 0, 0], [1, 1e-9, 0], math.degrees(1e-9)),  # no loss near zero, unlike acos
+    ],
+)
+def test_angle_between_vectors(a, b, degrees):
+    angle = metrics.angle_deg(np.array([a], float), np.array([b], float))
+    assert angle[0] == pytest.approx(degrees, abs=1e-12)
+
+
+def test_angle_to_a_zero_vector_is_undefined():
+    assert np.isnan(metrics.angle_deg(np.zeros(3), np.array([1.0, 0, 0])))
+
+
+def test_rms_is_over_windows_and_axes():
+    errors = np.array([[3.0, 0, 0], [0, 4.0, 0]])
+    assert metrics.rms(errors) == pytest.approx(math.sqrt(25 / 6))
+    assert math.isnan(metrics.rms(np.empty((0, 3))))
