@@ -1,11 +1,10 @@
-"""Finds the decoder of a ROS type. Modules in `formats/` register themselves."""
+"""Finds the decoder of a ROS type."""
 
-import importlib
-import pkgutil
 from collections.abc import Callable
 from functools import cache
 
 import msg_adapters.formats
+from msg_adapters.discovery import modules_of
 from msg_adapters.message import Decoder
 from msg_adapters.wire import DecodeError, Serialization
 
@@ -39,10 +38,8 @@ def supported_types() -> tuple[str, ...]:
 
 @cache
 def _factories() -> dict[str, Factory]:
-    """Collect TYPES and make_decoder of every module in `formats/`."""
-    package = msg_adapters.formats
+    """Collect TYPES and DECODER of every module in `formats/`."""
     factories: dict[str, Factory] = {}
-    for found in pkgutil.iter_modules(package.__path__):
-        module = importlib.import_module(f"{package.__name__}.{found.name}")
+    for module in modules_of(msg_adapters.formats):
         factories |= dict.fromkeys(module.TYPES, module.DECODER)
     return factories

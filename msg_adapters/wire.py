@@ -16,6 +16,7 @@ type Serialization = Literal["cdr", "ros1"]
 
 NS_PER_S = 1_000_000_000
 _ENCAPSULATION = 4
+_STRUCTS = {order + code: struct.Struct(order + code) for order in "<>" for code in "BIiQ"}
 
 
 class DecodeError(ValueError):
@@ -76,9 +77,14 @@ class Cursor:
 
     def scalar(self, code: Literal["B", "I", "i", "Q"]) -> int:
         """Read one integer, by its struct code."""
-        size = struct.calcsize("=" + code)
-        self.align(size)
-        value: int = struct.unpack(self.order + code, self.take(size))[0]
+        packed = _STRUCTS[self.order + code]
+        at = self._at
+        if self._cdr:
+            at += (_ENCAPSULATION - at) % packed.size
+        if at + packed.size > len(self._data):
+            raise DecodeError(f"the message ends at byte {len(self._data)}, inside a number")
+        self._at = at + packed.size
+        value: int = packed.unpack_from(self._data, at)[0]
         return value
 
     def string(self) -> str:

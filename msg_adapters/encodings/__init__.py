@@ -1,1 +1,1 @@
-"""One file per encoding of event_camera_msgs/EventPacket."""
+"""One file per encoding of EventPacket: each defines ENCODING (its name) and DECODER."""

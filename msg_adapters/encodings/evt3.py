@@ -1,0 +1,139 @@
+"""Prophesee EVT 3.0: 16-bit words, each saying only what changed.
+
+Source: https://docs.prophesee.ai/stable/data/encoding_formats/evt3.html. The type is in bits
+12-15. Time is 24 bits of microseconds in two words and wraps every 16.8 s; rows, times and the
+start of a vector hold until the next word of their kind, also across packets.
+"""
+
+import numpy as np
+from numba import njit, types
+
+from emoflow_ros.core.events import Events
+from msg_adapters.kernels import count_bits, expand, kernel_signature, run_kernel
+from msg_adapters.message import Statistics
+from msg_adapters.packet import view_words
+
+ENCODING = "evt3"
+
+_ADDR_Y = 0x0  # bits 0-10: row
+_ADDR_X = 0x2  # bits 0-10: column, bit 11: polarity
+_VECT_BASE_X = 0x3  # bits 0-10: column of the next vector's first pixel, bit 11: polarity
+_VECT_12 = 0x4  # bit i: an event at base + i; the base advances by 12
+_VECT_8 = 0x5  # the same with 8
+_TIME_LOW = 0x6
+_CONTINUED_4 = 0x7
+_TIME_HIGH = 0x8
+_PADDING = 0x9  # seen on Lucid cameras as 0x9999
+_TRIGGER = 0xA
+_OTHERS = 0xE
+_CONTINUED_12 = 0xF
+
+# Indices into the state.
+_HIGH, _LOW, _ROW, _BASE, _ON, _KNOWN = range(6)
+_STATE_SIZE = 6
+# Bits of state[_KNOWN]: what has been seen since the start or the last gap.
+_SEEN_HIGH, _SEEN_LOW, _SEEN_ROW, _SEEN_BASE = 1, 2, 4, 8
+_ADDRESSABLE = _SEEN_HIGH | _SEEN_LOW | _SEEN_ROW
+
+_WRAP_US = 1 << 24
+# The high time of real sensors goes back a little at times without having wrapped.
+_JITTER_US = 10 << 12
+_END_OF_ROW = 1 << 11  # columns have 11 bits; a vector beyond lies outside of every sensor
+
+
+class PacketDecoder:
+    """Decode EVT 3.0 packets."""
+
+    def __init__(self, statistics: Statistics) -> None:
+        self._statistics = statistics
+        self._state = np.zeros(_STATE_SIZE, np.int64)
+
+    def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
+        """Decode one packet; the sensor's time counts, `time_base` is not used."""
+        words = view_words(payload, "u2", big_endian, self._statistics)
+        return run_kernel(_decode, words, self._state, _count(words), self._statistics)
+
+    def resync(self) -> None:
+        """Wait for time, row and vector base anew."""
+        self._state[_KNOWN] = 0
+
+    def reset(self) -> None:
+        """Forget time and row."""
+        self._state[:] = 0
+
+
+@njit(
+    types.int64(types.Array(types.uint16, 1, "C", readonly=True, aligned=False)),
+    cache=True,
+    nogil=True,
+)
+def _count(words):  # type: ignore[no-untyped-def]
+    """Count the events that the words can stand for at most."""
+    count = 0
+    for i in range(len(words)):
+        kind = words[i] >> 12
+        if kind == _ADDR_X:
+            count += 1
+        elif kind == _VECT_12:
+            count += count_bits(words[i] & 0xFFF)
+        elif kind == _VECT_8:
+            count += count_bits(words[i] & 0xFF)
+    return count
+
+
+@njit(kernel_signature(types.uint16), cache=True, nogil=True)
+def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
+    high, low, row = state[_HIGH], state[_LOW], state[_ROW]
+    base, on, known = state[_BASE], state[_ON], state[_KNOWN]
+    time = (high | low) * 1000
+    n = triggers = wraps = skipped = 0
+    for i in range(len(words)):
+        word = words[i]
+        kind = word >> 12
+        if kind == _ADDR_X:
+            if known & _ADDRESSABLE == _ADDRESSABLE:
+                x[n] = word & 0x7FF
+                y[n] = row
+                t[n] = time
+                p[n] = word & 0x800 != 0
+                n += 1
+            else:
+                skipped += 1
+        elif kind == _ADDR_Y:
+            row = word & 0x7FF
+            known |= _SEEN_ROW
+        elif kind == _TIME_LOW:
+            low = word & 0xFFF
+            time = (high | low) * 1000
+            if known & _SEEN_HIGH:
+                known |= _SEEN_LOW
+        elif kind == _TIME_HIGH:
+            last = high
+            high = (last & -_WRAP_US) | (word & 0xFFF) << 12
+            if last - high > _JITTER_US:
+                high += _WRAP_US
+                wraps += 1
+            time = (high | low) * 1000
+            known |= _SEEN_HIGH
+        elif kind == _VECT_BASE_X:
+            base = word & 0x7FF
+            on = word & 0x800
+            known |= _SEEN_BASE
+        elif kind in (_VECT_12, _VECT_8):
+            width = 12 if kind == _VECT_12 else 8
+            bits = word & ((1 << width) - 1)
+            if known == _ADDRESSABLE | _SEEN_BASE:
+                n = expand(bits, base, row, time, on != 0, x, y, t, p, n)
+            else:
+                skipped += count_bits(bits)
+            base = min(base + width, _END_OF_ROW)
+        elif kind == _TRIGGER:
+            triggers += 1
+        elif kind not in (_OTHERS, _CONTINUED_4, _CONTINUED_12, _PADDING):
+            skipped += 1
+    state[_HIGH], state[_LOW], state[_ROW] = high, low, row
+    state[_BASE], state[_ON], state[_KNOWN] = base, on, known
+    return n, triggers, wraps, skipped
+
+
+DECODER = PacketDecoder

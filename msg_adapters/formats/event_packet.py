@@ -1,0 +1,79 @@
+"""event_camera_msgs/EventPacket: a packet in one of the encodings of `encodings/`.
+
+Fields: Header header, uint32 height, uint32 width, uint64 seq, uint64 time_base, string
+encoding, bool is_bigendian, uint8[] events.
+"""
+
+from functools import cache
+
+import msg_adapters.encodings
+from msg_adapters.discovery import modules_of
+from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
+from msg_adapters.packet import PacketDecoder
+from msg_adapters.wire import Cursor, DecodeError, Serialization
+
+TYPES = ("event_camera_msgs/msg/EventPacket",)
+
+_TIME_LIMIT = 1 << 62
+
+
+class EventPacketDecoder:
+    """Decode EventPacket messages; all encodings are compiled when one is made."""
+
+    def __init__(self, serialization: Serialization) -> None:
+        self.statistics = Statistics()
+        self._serialization = serialization
+        self._encodings = _encodings()
+        self._packets: PacketDecoder | None = None
+        self._seq: int | None = None
+
+    def decode(self, data: Bytes) -> EventMessage:
+        """Decode one message; see Decoder."""
+        cursor = Cursor(data, self._serialization)
+        header = cursor.header()
+        height, width = cursor.scalar("I"), cursor.scalar("I")
+        seq, time_base = cursor.scalar("Q"), cursor.scalar("Q")
+        encoding = cursor.string()
+        big_endian = bool(cursor.scalar("B"))
+        payload = cursor.blob()
+        cursor.finish()
+        if time_base >= _TIME_LIMIT:
+            raise DecodeError(f"time_base {time_base} is beyond 64-bit nanoseconds")
+        packets = self._packets_of(encoding)
+        self._follow(seq, packets)
+        events = packets.decode(payload, big_endian, time_base)
+        return build_message(header, width, height, events, self.statistics, seq=seq)
+
+    def reset(self) -> None:
+        """Forget time, row and running number."""
+        self._seq = None
+        if self._packets is not None:
+            self._packets.reset()
+
+    def _packets_of(self, encoding: str) -> PacketDecoder:
+        """Return the decoder of the encoding: the one at work unless the encoding changed."""
+        if self._packets is None or encoding != self.statistics.encoding:
+            if encoding not in self._encodings:
+                known = ", ".join(sorted(self._encodings))
+                raise DecodeError(f"unknown encoding '{encoding}': known are {known}")
+            self._packets = self._encodings[encoding](self.statistics)
+            self.statistics.encoding = encoding
+        return self._packets
+
+    def _follow(self, seq: int, packets: PacketDecoder) -> None:
+        """Compare the running number with the last one; publishers without numbers repeat it."""
+        if self._seq is not None and seq > self._seq + 1:
+            self.statistics.seq_gaps += seq - self._seq - 1
+            packets.resync()
+        elif self._seq is not None and seq < self._seq:
+            packets.reset()
+        self._seq = seq
+
+
+DECODER = EventPacketDecoder
+
+
+@cache
+def _encodings() -> dict[str, type[PacketDecoder]]:
+    """Collect ENCODING and DECODER of every module in `encodings/`."""
+    return {module.ENCODING: module.DECODER for module in modules_of(msg_adapters.encodings)}
