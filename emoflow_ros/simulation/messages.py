@@ -31,7 +31,7 @@ _CDR_RECORD = np.dtype(
     {
         "names": ["x", "y", "sec", "nanosec", "polarity"],
         "formats": ["<u2", "<u2", "<i4", "<u4", "u1"],
-        "offsets": [0, 2, 4, 8, 12],
+        "offsets": [0, 2, 6, 10, 14],
         "itemsize": 16,
     }
 )
@@ -63,13 +63,7 @@ class MessageEncoder:
         empty = self._types[EVENT_ARRAY](
             self._header(stamp, OPTICAL_FRAME), camera.height, camera.width, []
         )
-        records = np.zeros(len(events), self._record)
-        records["x"], records["y"] = events.x, events.y
-        records["sec"], records["nanosec"] = np.divmod(events.t, NS_PER_S)
-        records["polarity"] = events.p
-        body = records.tobytes()
-        if not self.ros1:  # CDR pads between records, not after the last
-            body = body[: len(body) - 3]
+        body = _ros1_records(events) if self.ros1 else _cdr_records(events)
         # A message without events ends in their count.
         count = len(events).to_bytes(4, "little")
         return self._serialize(empty, EVENT_ARRAY)[:-4] + count + body
@@ -140,6 +134,28 @@ class MessageEncoder:
         return bytes(
             store.serialize_ros1(message, name) if self.ros1 else store.serialize_cdr(message, name)
         )
+
+
+def _ros1_records(events: Events) -> bytes:
+    return _fill(np.empty(len(events), _ROS1_RECORD), events).tobytes()
+
+
+def _cdr_records(events: Events) -> bytes:
+    """Pack events as a CDR sequence of dvs_msgs/Event.
+
+    CDR aligns each member, not the struct: x of every event but the first comes one byte of
+    padding after the polarity before it, and `ts` needs two more. The records below therefore
+    start 2 bytes before the first event, whose x and y have no such gap behind them.
+    """
+    packed = bytearray(_fill(np.zeros(len(events), _CDR_RECORD), events).tobytes()[2:-1])
+    packed[:4] = np.concatenate([events.x[:1], events.y[:1]]).astype("<u2").tobytes()
+    return bytes(packed)
+
+
+def _fill(records: NDArray[np.void], events: Events) -> NDArray[np.void]:
+    records["x"], records["y"], records["polarity"] = events.x, events.y, events.p
+    records["sec"], records["nanosec"] = np.divmod(events.t, NS_PER_S)
+    return records
 
 
 def ros_distortion(camera: Camera) -> tuple[str, tuple[float, ...]]:

@@ -95,6 +95,9 @@ def _parser() -> argparse.ArgumentParser:
 def _simulate(args: argparse.Namespace) -> None:
     if args.seed < 0:
         raise InputError("--seed", str(args.seed), "give 0 or more")
+    name = args.name or args.scene
+    if Path(name).name != name:
+        raise InputError("--name", f"'{name}' is a path", "give a name, and the folder with --out")
     if not 0 <= args.start_time <= _LAST_START:
         raise InputError("--start-time", f"{args.start_time} s", f"give 0 to {_LAST_START}")
     sensor = SensorModel(
@@ -104,8 +107,8 @@ def _simulate(args: argparse.Namespace) -> None:
         refractory_us=args.refractory_us,
         noise_hz=args.noise,
     )
-    paths = OutputPaths.within(args.out, args.name or args.scene, args.format)
-    paths.clear(overwrite=args.force)
+    paths = OutputPaths.within(args.out, name, args.format)
+    paths.check(overwrite=args.force)
     recording = simulate(
         args.scene,
         duration_s=args.duration,

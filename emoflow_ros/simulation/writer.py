@@ -1,5 +1,6 @@
 """Write a simulated recording as MVSEC's files: data bag, truth bag, flow and calibration."""
 
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -50,11 +51,11 @@ class OutputPaths:
     def __iter__(self) -> Iterator[Path]:
         return iter((self.data, self.truth, self.flow, self.calibration))
 
-    def clear(self, *, overwrite: bool) -> None:
-        """Make the folder and see to it that no part exists.
+    def check(self, *, overwrite: bool) -> None:
+        """Make the folder and see that the parts may be written there.
 
         Raises:
-            InputError: a part exists and may not be overwritten, or the folder cannot be made.
+            InputError: a part exists and may not be overwritten, or the folder cannot be used.
         """
         folder = self.data.parent
         try:
@@ -62,11 +63,16 @@ class OutputPaths:
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             raise InputError(folder, f"cannot be made ({reason})", "give another --out") from None
+        if not os.access(folder, os.W_OK):
+            raise InputError(folder, "cannot be written to", "give another --out")
         for path in self:
             if path.exists() and not overwrite:
                 raise InputError(path, "exists already", "give --force to overwrite it")
             if path.is_dir() and not (path / "metadata.yaml").is_file():
                 raise InputError(path, "is a folder, but not a bag", "give another --name")
+
+    def remove(self) -> None:
+        """Remove the parts that an earlier run left."""
         for path in self:
             if path.is_dir():
                 shutil.rmtree(path)
@@ -77,14 +83,15 @@ class OutputPaths:
 def write_recording(
     recording: SimulatedRecording, paths: OutputPaths, bag_format: str, *, progress: bool = False
 ) -> None:
-    """Write all parts.
+    """Write all parts, over those of an earlier run.
 
     Args:
         recording: what was simulated.
-        paths: where to; nothing is there yet.
+        paths: where to.
         bag_format: one of FORMATS.
         progress: whether to show bars.
     """
+    paths.remove()
     encoder = MessageEncoder(ros1=bag_format == "rosbag1")
     _write_calibration(paths.calibration, recording.camera)
     write_bag(paths.data, encoder, data_topics(recording, encoder), progress=progress)

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+
+from emoflow_ros.simulation.scenes import SCENES, build_scene
+from emoflow_ros.simulation.trajectory import PITCH, ROLL, YAW, Trajectory, Wave, X, Z
+
+STEP = 1e-5
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("t", [0.0, 0.37, 2.9])
+def test_twist_is_the_derivative_of_the_pose(name: str, t: float) -> None:
+    path = build_scene(name, 3.0, np.random.default_rng(1)).camera
+    rotation, _ = path.pose(t)
+    (r0, p0), (r1, p1) = path.pose(t - STEP), path.pose(t + STEP)
+    linear, angular = path.twist(t)
+    np.testing.assert_allclose(linear, rotation.T @ (p1 - p0) / (2 * STEP), atol=1e-7)
+    skew = rotation.T @ (r1 - r0) / (2 * STEP)
+    np.testing.assert_allclose(angular, (skew[2, 1], skew[0, 2], skew[1, 0]), atol=1e-7)
+
+
+def test_rates_at_large_angles_against_finite_differences() -> None:
+    path = Trajectory(
+        offset=(0, 0, 0, 1.0, 0.8, -2.0),
+        rate=(1.0, 0, 0, 0.5, -0.2, 0.3),
+        waves=(Wave(YAW, 0.7, 1.0, 0.1), Wave(PITCH, 0.4, 0.6, 1.0), Wave(ROLL, 1.0, 0.5, 2.0)),
+    )
+    rotation, _ = path.pose(0.4)
+    skew = rotation.T @ (path.pose(0.4 + STEP)[0] - path.pose(0.4 - STEP)[0]) / (2 * STEP)
+    _, angular = path.twist(0.4)
+    np.testing.assert_allclose(angular, (skew[2, 1], skew[0, 2], skew[1, 0]), atol=1e-7)
+
+
+def test_acceleration_of_one_wave_in_closed_form() -> None:
+    path = Trajectory(rate=(0, 0, 2.0, 0, 0, 0), waves=(Wave(X, 0.5, 2.0, 0.0),))
+    omega = 4 * np.pi
+    expected = -0.5 * omega**2 * np.sin(omega * 0.1)
+    np.testing.assert_allclose(path.acceleration(0.1), (expected, 0, 0))
+    np.testing.assert_allclose(path.pose(0.1)[1][Z], 0.2)
+
+
+def test_yaw_looks_right_and_pitch_looks_up() -> None:
+    right = Trajectory(offset=(0, 0, 0, 0.1, 0, 0)).pose(0)[0] @ (0, 0, 1)
+    up = Trajectory(offset=(0, 0, 0, 0, 0.1, 0)).pose(0)[0] @ (0, 0, 1)
+    np.testing.assert_allclose(right, (np.sin(0.1), 0, np.cos(0.1)))
+    np.testing.assert_allclose(up, (0, -np.sin(0.1), np.cos(0.1)))
