@@ -1,5 +1,6 @@
 """Reader of bags: ROS 1 files and rosbag2 (sqlite3, mcap), without ROS."""
 
+import struct
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ from msg_adapters import DecodeError, make_decoder, supported_types
 
 _STORAGE_SUFFIXES = (".db3", ".mcap")
 _MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
+_SQLITE_HEADER = 100
 _REPAIR = {
     ".bag": "repair it with 'rosbag reindex' or copy it again",
     ".db3": "repair it with 'ros2 bag reindex' or copy it again",
@@ -225,7 +227,7 @@ def _check_magic(file: Path) -> None:
     magic = _MAGIC.get(file.suffix)
     try:
         with file.open("rb") as stream:
-            start = stream.read(16)
+            start = stream.read(_SQLITE_HEADER)
     except OSError as error:
         raise InputError(file, f"cannot be read ({error.strerror})", "check the file") from None
     if not start:
@@ -234,6 +236,16 @@ def _check_magic(file: Path) -> None:
         raise InputError(
             file, "not a bag", "give a ROS 1 .bag, a rosbag2 folder, an .mcap or a .db3 file"
         )
+    if file.suffix == ".db3" and _sqlite_size(start) > file.stat().st_size:
+        _refuse(file, EOFError("truncated"))
+
+
+def _sqlite_size(header: bytes) -> int:
+    """Bytes that a database says it has; SQLite reads missing ones as zeros (fileformat2)."""
+    if len(header) < _SQLITE_HEADER:
+        return _SQLITE_HEADER
+    page, changes, pages, valid_for = struct.unpack_from(">16xH6xII60xI", header)
+    return (65536 if page == 1 else page) * pages if changes == valid_for else 0
 
 
 def _has_usable_metadata(path: Path) -> bool:

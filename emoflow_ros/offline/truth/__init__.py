@@ -1,0 +1,64 @@
+"""Ground truth of recordings: velocity of the camera and displacement of its pixels."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers import Recording, require_camera
+from emoflow_ros.offline.readers.bag import BagRecording
+from emoflow_ros.offline.truth.bag import load_bag_truth
+from emoflow_ros.offline.truth.base import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
+from emoflow_ros.offline.truth.ecd import load_motion, load_poses
+from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
+from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
+
+__all__ = ["FlowSource", "TrueFlow", "TrueTwist", "Truth", "TwistSource", "load_truth"]
+
+# Files that lie beside the events of an ECD folder, the best first.
+_BY_NAME: dict[str, Callable[[Path, Camera], Truth]] = {
+    "motion.txt": load_motion,
+    "groundtruth.txt": load_poses,
+}
+
+
+def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
+    """Read the ground truth of a recording.
+
+    Args:
+        recording: the recording, with a camera.
+        paths: bags with poses and depth, MVSEC's flow npz, ECD's `motion.txt` or
+            `groundtruth.txt`. Without any, what lies inside the recording's folder. Of
+            several that say the same, the first one counts; flow maps count before depth.
+
+    Raises:
+        InputError: a file that is missing or of no known format.
+    """
+    camera = require_camera(recording)
+    if not paths:
+        paths = [recording.path / name for name in _BY_NAME if (recording.path / name).is_file()]
+    parts = [_load(path, camera, recording.topic) for path in sorted(paths, key=_rank)]
+    return Truth(
+        next((part.twists for part in parts if part.twists), None),
+        next((part.flows for part in parts if part.flows), None),
+    )
+
+
+def _rank(path: Path) -> bool:
+    return path.suffix != ".npz"
+
+
+def _load(path: Path, camera: Camera, topic: str) -> Truth:
+    if not path.exists():
+        raise InputError(path, "no such file or folder", "check the path given with --gt")
+    if path.name in _BY_NAME:
+        return _BY_NAME[path.name](path, camera)
+    if path.suffix == ".npz":
+        return Truth(flows=PropagatedFlow(MvsecFlowMaps(path)))
+    if BagRecording.matches(path):
+        return load_bag_truth(path, camera, topic.rpartition("/")[0])
+    raise InputError(
+        path,
+        "not ground truth of a known format",
+        f"give a bag, an MVSEC flow npz, {' or '.join(_BY_NAME)}",
+    )

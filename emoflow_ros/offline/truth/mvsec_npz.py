@@ -1,0 +1,76 @@
+"""Flow maps of MVSEC's `<sequence>_gt_flow_dist.npz`, streamed from the archive."""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
+
+_FIX = "give MVSEC's <sequence>_gt_flow_dist.npz"
+_PARTS = ("timestamps", "x_flow_dist", "y_flow_dist")
+
+
+class MvsecFlowMaps:
+    """Maps over the interval to the next stamp, in the distorted image.
+
+    The arrays of a sequence take up to 16 GB, so that they are read map by map. Going forward
+    is free, going back decompresses the archive from its start.
+
+    Raises:
+        InputError: not such a file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.name = path.name
+        try:
+            self._archive = zipfile.ZipFile(path)
+            with self._archive.open("timestamps.npy") as file:
+                seconds = np.lib.format.read_array(file)
+            self._columns = [_Frames(self._archive, f"{part}.npy") for part in _PARTS[1:]]
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(path, f"not a flow ground truth ({reason})", _FIX) from None
+        self.stamps = np.rint(seconds.astype(np.float64) * NS_PER_S).astype(np.int64)
+        if self._columns[0].shape != self._columns[1].shape or len(self.stamps) != len(
+            self._columns[0]
+        ):
+            raise InputError(path, f"{', '.join(_PARTS)} differ in length", _FIX)
+
+    def read(self, index: int) -> NDArray[np.float32]:
+        """Read map `index`, (H, W, 2) px; 0 where unknown."""
+        try:
+            return np.stack([column.read(index) for column in self._columns], axis=-1)
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(self._path, f"damaged ({reason})", "download it again") from None
+
+
+class _Frames:
+    """One (N, H, W) array of an archive, read frame by frame."""
+
+    def __init__(self, archive: zipfile.ZipFile, member: str) -> None:
+        self._stream = archive.open(member)
+        major, _ = np.lib.format.read_magic(self._stream)
+        if major == 1:
+            header = np.lib.format.read_array_header_1_0(self._stream)
+        else:
+            header = np.lib.format.read_array_header_2_0(self._stream)
+        self.shape, fortran_order, self._dtype = header
+        if len(self.shape) != 3 or fortran_order:
+            raise ValueError(f"{member} of shape {self.shape} is not a stack of images")
+        self._start = self._stream.tell()
+        self._bytes = self.shape[1] * self.shape[2] * self._dtype.itemsize
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def read(self, index: int) -> NDArray[np.float32]:
+        """Read frame `index`, (H, W)."""
+        self._stream.seek(self._start + index * self._bytes)
+        data = np.frombuffer(self._stream.read(self._bytes), self._dtype)
+        return data.reshape(self.shape[1:]).astype(np.float32)

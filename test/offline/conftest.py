@@ -1,0 +1,123 @@
+"""Tiny bags for the tests of this folder, written with rosbags."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
+
+EVENT_ARRAY = "dvs_msgs/msg/EventArray"
+_DEFINITIONS = {
+    "dvs_msgs/msg/Event": "uint16 x\nuint16 y\nbuiltin_interfaces/Time ts\nbool polarity\n",
+    EVENT_ARRAY: "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
+}
+
+
+@pytest.fixture
+def make_events():
+    return _make_events
+
+
+@pytest.fixture
+def write_event_bag():
+    return _write_event_bag
+
+
+def _make_events(n: int, width: int = 32, height: int = 24, start_s: float = 1.0) -> Events:
+    """Events at 1 ms intervals that walk over the sensor."""
+    k = np.arange(n)
+    return Events(
+        (k % width).astype(np.uint16),
+        (k % height).astype(np.uint16),
+        round(start_s * NS_PER_S) + k.astype(np.int64) * 1_000_000,
+        k % 2 == 0,
+    )
+
+
+def _store(ros1: bool):
+    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    for name, text in _DEFINITIONS.items():
+        types.register(get_types_from_msg(text, name))
+    return types
+
+
+def _event_array_bytes(events: Events, width: int, height: int, ros1: bool) -> bytes:
+    """Serialise with `struct`, field by field, as the formats are specified."""
+    if ros1:
+        head = struct.pack("<IIII", 0, 1, 2, 3) + b"cam"
+        head += struct.pack("<III", height, width, len(events))
+        rows = [
+            struct.pack("<HHIIB", x, y, t // NS_PER_S, t % NS_PER_S, p)
+            for x, y, t, p in zip(*_columns(events), strict=True)
+        ]
+        return head + b"".join(rows)
+    body = struct.pack("<iII", 1, 2, 4) + b"cam\0"
+    body += struct.pack("<III", height, width, len(events))
+    for x, y, t, p in zip(*_columns(events), strict=True):
+        body += b"\0" * (-len(body) % 2) + struct.pack("<HH", x, y)
+        body += b"\0" * (-len(body) % 4)
+        body += struct.pack("<iIB", t // NS_PER_S, t % NS_PER_S, p)
+    return b"\0\x01\0\0" + body
+
+
+def _columns(events: Events):
+    return events.x.tolist(), events.y.tolist(), events.t.tolist(), events.p.tolist()
+
+
+def _write_event_bag(
+    path: Path,
+    batches: list[Events],
+    *,
+    topics: tuple[str, ...] = ("/cam/events",),
+    size: tuple[int, int] = (32, 24),
+    with_info: bool = True,
+    storage: str = "ros1",
+) -> Path:
+    """Write a bag: `storage` is ros1, sqlite3 or mcap."""
+    ros1 = storage == "ros1"
+    types = _store(ros1)
+    if ros1:
+        writer = rosbag1.Writer(path)
+    else:
+        plugin = rosbag2.StoragePlugin[storage.upper()]
+        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    with writer:
+        for topic in topics:
+            connection = writer.add_connection(topic, EVENT_ARRAY, typestore=types)
+            for i, events in enumerate(batches):
+                data = _event_array_bytes(events, *size, ros1)
+                writer.write(connection, NS_PER_S + i, data)
+        if with_info:
+            _write_info(writer, types, topics[0] if topics else "/cam/events", size, ros1)
+    return path
+
+
+def _write_info(writer, types, topic, size, ros1):
+    name = "sensor_msgs/msg/CameraInfo"
+    info, roi = types.types[name], types.types["sensor_msgs/msg/RegionOfInterest"]
+    header, time = types.types["std_msgs/msg/Header"], types.types["builtin_interfaces/msg/Time"]
+    stamp = time(1, 0)
+    k = np.array([20.0, 0, 16, 0, 20, 12, 0, 0, 1])
+    message = info(
+        header(0, stamp, "cam") if ros1 else header(stamp, "cam"),
+        size[1],
+        size[0],
+        "plumb_bob",
+        np.array([0.01, 0, 0, 0, 0.0]),
+        k,
+        np.eye(3).ravel(),
+        np.zeros(12),
+        0,
+        0,
+        roi(0, 0, 0, 0, False),
+    )
+    connection = writer.add_connection(
+        topic.rpartition("/")[0] + "/camera_info", name, typestore=types
+    )
+    data = types.serialize_ros1(message, name) if ros1 else types.serialize_cdr(message, name)
+    writer.write(connection, NS_PER_S, data)
