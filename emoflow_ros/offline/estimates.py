@@ -1,0 +1,229 @@
+"""The file `estimates.h5`: one row per window. docs/estimates_file.md is its description."""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+import emoflow_ros
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
+
+FORMAT = "emoflow_ros/estimates"
+VERSION = 1
+_ROWS_PER_CHUNK = 256
+
+
+class _Column(NamedTuple):
+    shape: tuple[int, ...]
+    dtype: Any
+    unit: str
+    description: str
+
+
+_TEXT = h5py.string_dtype()
+_COLUMNS = {
+    "t_start": _Column((), "f8", "s", "start of the window, in the recording's event time"),
+    "t_end": _Column((), "f8", "s", "end of the window (exclusive)"),
+    "t_start_ns": _Column((), "i8", "ns", "t_start without rounding"),
+    "t_end_ns": _Column((), "i8", "ns", "t_end without rounding"),
+    "t": _Column((), "f8", "s", "time that linear and angular hold at"),
+    "linear": _Column(
+        (3,),
+        "f8",
+        "1",
+        "unit direction of the camera's velocity in its optical frame (x right, y down, "
+        "z forward); zeros where not observable",
+    ),
+    "angular": _Column(
+        (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN unless status is ok"
+    ),
+    "covariance": _Column(
+        (6, 6),
+        "f8",
+        "1, rad/s",
+        "of (linear, angular); [0, 0] is -1 where translation is not observable",
+    ),
+    "translation_observable": _Column((), "?", "", "whether linear holds a direction"),
+    "status": _Column((), _TEXT, "", "ok, or why there is no estimate"),
+    "model": _Column((), _TEXT, "", "full, rotation, translation or static"),
+    "events": _Column((), "i8", "1", "events of the window that were used"),
+    "runtime_s": _Column((), "f8", "s", "wall time of the estimate"),
+}
+
+
+class EstimatesWriter:
+    """Write estimates row by row; after each row the file is complete. Use as a context manager.
+
+    Args:
+        path: the file; an existing one is replaced.
+        camera: of the recording.
+        source: what was estimated from, for the reader's information.
+        configuration: option values by dotted name.
+        save_flow: whether to store the dense displacement of every window, too.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        camera: Camera,
+        source: str,
+        configuration: Mapping[str, Any],
+        save_flow: bool = False,
+    ) -> None:
+        try:
+            self._file = h5py.File(path, "w")
+        except OSError as error:
+            raise InputError(path, f"cannot be written ({error})", "give another --out") from None
+        self._file.attrs.update(
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "software": f"emoflow_ros {emoflow_ros.__version__}",
+                "source": source,
+                "camera": json.dumps(dataclasses.asdict(camera)),
+                "configuration": json.dumps(dict(configuration)),
+            }
+        )
+        self._shape = camera.height, camera.width
+        for name, column in _COLUMNS.items():
+            self._create(name, column, chunk=(_ROWS_PER_CHUNK, *column.shape))
+        if save_flow:
+            column = _Column(
+                (*self._shape, 2),
+                "f2",
+                "px",
+                "displacement (u right, v down) over the window of the pixels of t_start; NaN "
+                "unless status is ok",
+            )
+            self._create("flow", column, (1, *column.shape), compression="gzip", shuffle=True)
+
+    def append(self, estimate: Estimate) -> None:
+        """Add one window."""
+        ok = estimate.status is Status.OK
+        values: dict[str, Any] = {
+            "t_start": estimate.t_start / NS_PER_S,
+            "t_end": estimate.t_end / NS_PER_S,
+            "t_start_ns": estimate.t_start,
+            "t_end_ns": estimate.t_end,
+            "t": estimate.t / NS_PER_S,
+            "linear": estimate.linear,
+            "angular": estimate.angular if ok else np.nan,
+            "covariance": estimate.covariance,
+            "translation_observable": estimate.translation_observable,
+            "status": str(estimate.status),
+            "model": str(estimate.model),
+            "events": estimate.quality.events,
+            "runtime_s": estimate.quality.runtime_s,
+        }
+        if "flow" in self._file:
+            values["flow"] = (
+                estimate.flow.displacement(estimate.t_start, estimate.t_end)
+                if estimate.flow is not None
+                else np.nan
+            )
+        for name, value in values.items():
+            dataset = self._file[name]
+            dataset.resize(len(dataset) + 1, axis=0)
+            dataset[-1] = value
+        self._file.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+    def _create(
+        self, name: str, column: _Column, chunk: tuple[int, ...], **storage: object
+    ) -> None:
+        dataset = self._file.create_dataset(
+            name,
+            (0, *column.shape),
+            column.dtype,
+            maxshape=(None, *column.shape),
+            chunks=chunk,
+            **storage,
+        )
+        dataset.attrs["unit"] = column.unit
+        dataset.attrs["description"] = column.description
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """The contents of an estimates file, N windows.
+
+    Attributes:
+        path: the file.
+        source: what was estimated from.
+        camera: of the recording.
+        configuration: option values by dotted name.
+        columns: every dataset but `flow`, by name; see docs/estimates_file.md.
+        has_flow: whether `flow(i)` can be called.
+    """
+
+    path: Path
+    source: str
+    camera: Camera
+    configuration: dict[str, Any]
+    columns: dict[str, NDArray[Any]]
+    has_flow: bool
+
+    def __len__(self) -> int:
+        return len(self.columns["t_start_ns"])
+
+    def flow(self, index: int) -> NDArray[np.float16]:
+        """Displacement over window `index`, (H, W, 2) px."""
+        with h5py.File(self.path) as file:
+            return np.asarray(file["flow"][index])
+
+
+def read_estimates(path: Path) -> Estimates:
+    """Read an estimates file; flow is read when it is asked for.
+
+    Raises:
+        InputError: the file is missing, not an estimates file or of another version.
+    """
+    fix = "give an estimates.h5 written by 'evaluate'"
+    try:
+        with h5py.File(path) as file:
+            if file.attrs.get("format") != FORMAT:
+                raise InputError(path, "not an estimates file", fix)
+            if file.attrs["version"] != VERSION:
+                wrong = f"version {file.attrs['version']}, known is {VERSION}"
+                raise InputError(path, wrong, "write it again with this version of evaluate")
+            camera = json.loads(file.attrs["camera"])
+            camera["distortion"] = tuple(camera["distortion"])
+            columns = {
+                name: file[name].asstr()[:] if column.dtype is _TEXT else file[name][:]
+                for name, column in _COLUMNS.items()
+            }
+            return Estimates(
+                path=path,
+                source=file.attrs["source"],
+                camera=Camera(**camera),
+                configuration=json.loads(file.attrs["configuration"]),
+                columns=columns,
+                has_flow="flow" in file,
+            )
+    except (OSError, KeyError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(path, f"cannot be read ({reason})", fix) from None
