@@ -98,7 +98,7 @@ def _forward(duration_s: float, rng: np.random.Generator) -> Scene:
 
 
 def _driving(duration_s: float, rng: np.random.Generator) -> Scene:
-    speed, eye = 12.0, 1.5
+    speed, eye = 12.5, 1.5
     length = speed * duration_s + 100.0
     road = Look(TEXTURES, 0.012)
     # The outermost box: meadows below, hills beside and ahead, the sky above.

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 SIZE = 1024  # texels along one side of the finest level; textures repeat beyond it
 LEVELS = 9
-_OVERSAMPLING = 2
+_OVERSAMPLING = 2  # leaves are painted this much finer, then averaged: smooth outlines
+_LEAVES = 2500
 _LOG_CONTRAST = 0.45  # standard deviation of the leaves' log intensity
 
 
@@ -54,22 +55,20 @@ def _paint(rng: np.random.Generator) -> NDArray[np.float32]:
     """
     n = SIZE * _OVERSAMPLING
     smallest, largest = 14.0 * _OVERSAMPLING, 220.0 * _OVERSAMPLING
-    count = 2500
     # Inverse of the distribution function of p(r) ~ r^-3 between the two radii.
-    uniform = rng.random(count)
+    uniform = rng.random(_LEAVES)
     radius = (smallest**-2 - uniform * (smallest**-2 - largest**-2)) ** -0.5
     canvas = np.zeros((n, n), np.float32)
     _scatter(
         canvas,
-        rng.integers(0, n, (count, 2)),
+        rng.integers(0, n, (_LEAVES, 2)),
         radius,
-        np.exp(rng.uniform(-0.7, 0.7, count)),
-        rng.uniform(0, np.pi, count),
-        rng.random(count) < 0.5,
-        rng.normal(0, _LOG_CONTRAST, count).astype(np.float32),
+        np.exp(rng.uniform(-0.7, 0.7, _LEAVES)),
+        rng.uniform(0, np.pi, _LEAVES),
+        rng.random(_LEAVES) < 0.5,
+        rng.normal(0, _LOG_CONTRAST, _LEAVES).astype(np.float32),
     )
-    for _ in range(_OVERSAMPLING // 2):
-        canvas = _halve(canvas)
+    canvas = _halve(canvas)
     return canvas - canvas.mean()
 
 
