@@ -91,7 +91,9 @@ def _read_fields(cursor: Cursor) -> list[_Field]:
 
 def _point_dtype(fields: list[_Field], order: str, point_step: int) -> tuple[np.dtype, str]:
     """Build the dtype (x, y, t, p) of a point, and return the time field's own name."""
-    by_name = {field.name.lower(): field for field in reversed(fields)}
+    by_name: dict[str, _Field] = {}
+    for field in fields:
+        by_name.setdefault(field.name.lower(), field)
     chosen = {
         "x": _find(by_name, ("x",)),
         "y": _find(by_name, ("y",)),
