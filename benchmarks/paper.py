@@ -1,0 +1,110 @@
+"""Measure the seconds per iteration of the published loop on this machine, as JSON."""
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from emoflow_ros.cli import run
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.implicit.config import ImplicitConfig
+from emoflow_ros.core.implicit.estimator import ImplicitEstimator
+from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.windows import NS_PER_MS, Window
+
+CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
+WINDOW_NS = 90 * NS_PER_MS
+VARIANTS: dict[str, dict[str, Any]] = {
+    "paper, 8x256, one Euler step": {},
+    "4x256, one Euler step": {"field.layers": 4},
+    "8x256, rk4 with 1 step": {"warp.solver": "rk4"},
+}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds per iteration: in the contrast-only phase, and with the DEC."""
+
+    contrast: float
+    contrast_and_dec: float
+
+
+def main() -> int:
+    """Run the benchmark."""
+    return run(lambda: _measure(_parser().parse_args()))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="example: python benchmarks/paper.py --iterations 5 > paper.json",
+    )
+    parser.add_argument("--iterations", type=int, default=3, help="timed per variant (default 3)")
+    parser.add_argument("--events", type=int, default=30_000, help="per window (default 30000)")
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="default: all cores")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    return parser
+
+
+def _measure(args: argparse.Namespace) -> None:
+    torch.set_num_threads(args.threads)
+    window = _window(args.events)
+    results = {}
+    for name, overrides in tqdm(VARIANTS.items(), desc="variants", file=sys.stderr):
+        overrides = {"max_events": args.events, "device": args.device, **overrides}
+        results[name] = vars(_time(window, overrides, args.iterations))
+    machine = {
+        "processor": platform.processor() or platform.machine(),
+        "threads": args.threads,
+        "torch": torch.__version__,
+        "device": args.device,
+    }
+    report = {"machine": machine, "events": args.events, "seconds_per_iteration": results}
+    print(json.dumps(report, indent=2))
+
+
+def _window(count: int) -> Window:
+    """Make events at random: the cost does not depend on what they show."""
+    rng = np.random.default_rng(0)
+    events = Events(
+        rng.integers(0, CAMERA.width, count).astype(np.uint16),
+        rng.integers(0, CAMERA.height, count).astype(np.uint16),
+        np.sort(rng.integers(0, WINDOW_NS, count)),
+        np.ones(count, np.bool_),
+    )
+    return Window(0, WINDOW_NS, events)
+
+
+def _time(window: Window, overrides: dict[str, Any], iterations: int) -> Timing:
+    """Time the phases by the difference of a long and a short fit, which cancels the rest."""
+
+    def fit(count: int, contrast_only: int) -> float:
+        values = {
+            **overrides,
+            "optimizer.iterations": count,
+            "loss.contrast_only": contrast_only,
+        }
+        estimator = ImplicitEstimator(CAMERA, replace_options(ImplicitConfig(), values))
+        began = time.perf_counter()
+        estimator.estimate(window)
+        return time.perf_counter() - began
+
+    fit(1, 0)  # first calls cost more
+    longer = 1 + iterations
+    return Timing(
+        contrast=(fit(longer, longer) - fit(1, 1)) / iterations,
+        contrast_and_dec=(fit(longer, 0) - fit(1, 0)) / iterations,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
