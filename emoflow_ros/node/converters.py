@@ -1,0 +1,85 @@
+"""ROS messages from what the node knows, and back: the only place that builds messages."""
+
+import array
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Twist, TwistStamped, TwistWithCovarianceStamped, Vector3
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.node.statistics import Report
+
+
+def to_header(stamp: int, frame_id: str) -> Header:
+    """Build a header from ROS time in ns."""
+    sec, nanosec = divmod(stamp, NS_PER_S)
+    return Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
+
+
+def to_twist(estimate: Estimate, header: Header) -> TwistStamped:
+    """Build the twist: linear is a unit direction or zero, angular is in rad/s."""
+    return TwistStamped(header=header, twist=_twist(estimate))
+
+
+def to_twist_with_covariance(estimate: Estimate, header: Header) -> TwistWithCovarianceStamped:
+    """Build the twist with its covariance, row-major over (linear, angular).
+
+    covariance[0] is -1 where translation is not observable.
+    """
+    message = TwistWithCovarianceStamped(header=header)
+    message.twist.twist = _twist(estimate)
+    message.twist.covariance = np.asarray(estimate.covariance, np.float64).ravel()
+    return message
+
+
+def to_flow_image(flow: NDArray[np.float32], header: Header) -> Image:
+    """Build a 32FC2 image from flow (height, width, 2) in px/s; NaN where there is none."""
+    height, width, _ = flow.shape
+    return Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding="32FC2",
+        is_bigendian=0,
+        step=8 * width,
+        data=array.array("B", np.ascontiguousarray(flow, "<f4").tobytes()),
+    )
+
+
+def to_diagnostics(name: str, report: Report, stamp: Time) -> DiagnosticArray:
+    """Build the diagnostics of one node."""
+    status = DiagnosticStatus(
+        level=bytes([report.level]),
+        name=f"{name}: estimator",
+        message=report.message,
+        hardware_id=name,
+        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
+    )
+    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
+
+
+def to_camera(info: CameraInfo) -> Camera:
+    """Build the camera model.
+
+    Raises:
+        InputError: the camera is not calibrated, or its lens model is unknown.
+    """
+    return Camera.from_intrinsic_matrix(
+        info.width, info.height, info.k, info.distortion_model, info.d
+    )
+
+
+def _twist(estimate: Estimate) -> Twist:
+    return Twist(linear=_vector(estimate.linear), angular=_vector(estimate.angular))
+
+
+def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector3:
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)

@@ -1,0 +1,125 @@
+"""From serialised event messages to windows; what is wrong with a message ends here."""
+
+import time
+from collections.abc import Callable
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import (
+    NS_PER_MS,
+    NS_PER_S,
+    TimeJumpError,
+    Window,
+    WindowPolicy,
+    WindowSlicer,
+)
+from emoflow_ros.node.statistics import Statistics
+from emoflow_ros.node.supervisor import Task
+from msg_adapters import DecodeError, EventMessage, make_decoder
+
+# A step back in time of less than this is disorder, more is another run of the recording.
+_DISORDER = 100 * NS_PER_MS
+# Event times closer than this to the stamps are ROS time, others a clock of the sensor's own.
+_SAME_CLOCK = NS_PER_S
+
+
+class EventInput:
+    """Decodes the messages of one topic and cuts their events into tasks for the worker.
+
+    Args:
+        ros_type: as in `dvs_msgs/msg/EventArray`.
+        policy: how windows are cut.
+        frame_id: the camera's frame; empty takes that of the messages.
+        statistics: counts what comes and what is lost.
+        warn: says what is wrong with the messages; called for each of them.
+
+    Attributes:
+        camera: whose events are expected; None expects any.
+        epoch: runs of event time so far; a jump back, as in a bag that loops, starts the next.
+
+    Raises:
+        DecodeError: there is no decoder for the type.
+    """
+
+    def __init__(
+        self,
+        ros_type: str,
+        policy: WindowPolicy,
+        *,
+        frame_id: str,
+        statistics: Statistics,
+        warn: Callable[[str], None],
+    ) -> None:
+        self.camera: Camera | None = None
+        self.epoch = 0
+        self._decoder = make_decoder(ros_type, "cdr")
+        self._slicer = WindowSlicer(policy)
+        self._frame_id = frame_id
+        self._statistics = statistics
+        self._warn = warn
+        self._offset: int | None = None
+
+    def set_policy(self, policy: WindowPolicy) -> None:
+        """Cut the events from now on differently; those of an unfinished window are left out."""
+        if policy != self._slicer.policy:
+            self._slicer = WindowSlicer(policy)
+
+    def push(self, data: bytes) -> list[Task]:
+        """Take one serialised message and return the windows that it completes."""
+        try:
+            message = self._decoder.decode(data)
+        except DecodeError as error:
+            self._statistics.counts["malformed_messages"] += 1
+            self._warn(f"a malformed message is left out: {error}")
+            return []
+        events = self._inside(message)
+        self._statistics.add_events(len(events))
+        self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
+        if len(events) == 0:
+            return []
+        received = time.monotonic()
+        windows = self._slice(events)
+        if self._offset is None:
+            offset = message.stamp - int(events.t[0])
+            self._offset = offset if abs(offset) > _SAME_CLOCK else 0
+        frame_id = self._frame_id or message.frame_id
+        return [Task(w, self.epoch, self._offset, frame_id, received) for w in windows]
+
+    def _inside(self, message: EventMessage) -> Events:
+        """Return the message's events that lie on the sensor."""
+        self._statistics.counts["events_outside"] += message.dropped_outside
+        if self.camera is None:
+            return message.events
+        size = (self.camera.width, self.camera.height)
+        if message.width and (message.width, message.height) != size:
+            self._statistics.counts["wrong_size_messages"] += 1
+            self._warn(
+                f"events of a {message.width}x{message.height} sensor do not fit the calibration "
+                f"of a {size[0]}x{size[1]} one; give this sensor's calibration"
+            )
+            return Events.empty()
+        if message.width:
+            return message.events
+        inside = message.events.inside(*size)
+        self._statistics.counts["events_outside"] += len(inside) - int(inside.sum())
+        return message.events[inside]
+
+    def _slice(self, events: Events) -> list[Window]:
+        if (events.t[1:] < events.t[:-1]).any():
+            return self._leave_out("event times within it are out of order")
+        try:
+            return self._slicer.push(events)
+        except TimeJumpError as jump:
+            if jump.last - jump.now < _DISORDER:
+                return self._leave_out(str(jump))
+        self.epoch += 1
+        self._statistics.counts["time_jumps"] += 1
+        self._offset = None
+        self._decoder.reset()
+        self._slicer.reset()
+        return self._slicer.push(events)
+
+    def _leave_out(self, reason: str) -> list[Window]:
+        self._statistics.counts["unordered_messages"] += 1
+        self._warn(f"a message is left out: {reason}")
+        return []

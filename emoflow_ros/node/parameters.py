@@ -1,0 +1,183 @@
+"""The node's parameters: one typed table, from which they are declared, checked and changed."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.options import OptionInfo, option, options_of, replace_options
+from emoflow_ros.errors import InputError
+
+_INT64_MAX = 2**63 - 1
+# Declared by rclpy itself.
+_FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What the node listens to."""
+
+    type: str = option(
+        "", "message type of the topic `events`; empty takes the type that is published"
+    )
+    queue_windows: int = option(
+        8, "windows that may wait for the worker; one more drops the oldest", minimum=1, maximum=100
+    )
+    silence_s: float = option(
+        2.0,
+        "without events for this long the diagnostics warn",
+        unit="s",
+        minimum=0.1,
+        maximum=3600.0,
+    )
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Which camera the events come from."""
+
+    calibration_file: str = option(
+        "", "camera_info YAML or ECD calib.txt; empty listens to the topic `camera_info`"
+    )
+    frame_id: str = option(
+        "", "optical frame of the camera; empty takes the frame of the event messages"
+    )
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """How the node answers."""
+
+    timeout_s: float = option(
+        10.0,
+        "a worker without an answer after this long is replaced, the window is lost",
+        unit="s",
+        minimum=0.1,
+        maximum=600.0,
+    )
+    diagnostics_s: float = option(
+        1.0, "time between two diagnostics", unit="s", minimum=0.1, maximum=60.0
+    )
+
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """Options of the node itself; those of the estimation are in `Config`."""
+
+    autostart: bool = option(True, "configure and activate the node without being asked")
+    input: InputOptions = field(default_factory=InputOptions)
+    camera: CameraOptions = field(default_factory=CameraOptions)
+    output: OutputOptions = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The values of all parameters."""
+
+    node: NodeOptions
+    config: Config
+
+    def changed(self, values: Mapping[str, Any]) -> "Settings":
+        """Return a copy with the parameters of these names changed.
+
+        Raises:
+            InputError: an unknown name, or a value of the wrong type or range.
+        """
+        own = {o.name for o in options_of(self.node)}
+        return Settings(
+            replace_options(self.node, {n: v for n, v in values.items() if n in own}),
+            replace_options(self.config, {n: v for n, v in values.items() if n not in own}),
+        )
+
+
+def table(settings: Settings) -> Iterable[OptionInfo]:
+    """List all parameters."""
+    yield from options_of(settings.node)
+    yield from options_of(settings.config)
+
+
+def is_dynamic(name: str) -> bool:
+    """Whether a parameter may change while the node is configured.
+
+    How windows are cut and estimated takes effect with the next window; the rest decides what
+    the node connects to when it is configured.
+    """
+    return name.startswith(("window.", "estimator."))
+
+
+class NodeParameters:
+    """Declares the table on a node and keeps `settings` equal to the parameters.
+
+    Args:
+        node: to declare on.
+        is_configured: whether only dynamic parameters may change now.
+        on_change: called after a change, with the new settings.
+
+    Raises:
+        InputError: the node was started with an unknown name or a bad value.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        is_configured: Callable[[], bool],
+        on_change: Callable[[Settings], None],
+    ) -> None:
+        self._is_configured = is_configured
+        self._on_change = on_change
+        # What the node was started with; rclpy would ignore names that are never declared.
+        given = {
+            name: parameter.value
+            for name, parameter in node._parameter_overrides.items()
+            if not name.startswith(_FOREIGN)
+        }
+        config = load_config(str(given.get("profile", Config().profile)))
+        self.settings = Settings(NodeOptions(), config).changed(given)
+        for info in table(self.settings):
+            node.declare_parameter(info.name, info.value, _descriptor(info), ignore_override=True)
+        self._names = {info.name for info in table(self.settings)}
+        node.add_on_set_parameters_callback(self._set)
+
+    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
+        values = {p.name: p.value for p in parameters if p.name in self._names}
+        if not values:
+            return SetParametersResult(successful=True)
+        fixed = [name for name in values if not is_dynamic(name)]
+        if fixed and self._is_configured():
+            reason = f"{fixed[0]}: only changes while the node is unconfigured"
+            return SetParametersResult(successful=False, reason=reason)
+        try:
+            settings = self.settings.changed(values)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.settings = settings
+        self._on_change(settings)
+        return SetParametersResult(successful=True)
+
+
+def _descriptor(info: OptionInfo) -> ParameterDescriptor:
+    unit = f" [{info.unit}]" if info.unit else ""
+    descriptor = ParameterDescriptor(
+        description=info.description + unit,
+        additional_constraints=f"one of {', '.join(info.choices)}" if info.choices else "",
+    )
+    if isinstance(info.value, float):
+        low = -math.inf if info.minimum is None else float(info.minimum)
+        high = math.inf if info.maximum is None else float(info.maximum)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    elif isinstance(info.value, int) and not isinstance(info.value, bool):
+        low_int = -_INT64_MAX if info.minimum is None else int(info.minimum)
+        high_int = _INT64_MAX if info.maximum is None else int(info.maximum)
+        descriptor.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
+    return descriptor

@@ -1,0 +1,128 @@
+"""What the node counts, and the verdict that its diagnostics give."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.node.supervisor import Result
+
+_LATENCIES_KEPT = 200
+_WARNINGS = {
+    "worker_restarts": "worker restarts: see the log for the reason",
+    "windows_failed": "windows failed: see the log for the reason",
+    "windows_dropped": "windows dropped: the estimation is slower than the events",
+    "malformed_messages": "malformed messages: check the driver's message version",
+    "unordered_messages": "messages with event times out of order: check the driver",
+    "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
+    "time_jumps": "jumps back in event time: the estimation starts anew",
+}
+
+_STATUSES = tuple(f"windows_{status}" for status in Status)
+
+
+class Level(IntEnum):
+    """Levels of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class Report:
+    """One diagnosis: how bad, why and what to do, and the numbers behind it."""
+
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+class Statistics:
+    """Counts events on their way in and estimates on their way out.
+
+    Counts are cumulative, by name; rates hold over the time between two reports.
+
+    Args:
+        clock: monotonic time in s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.counts: Counter[str] = Counter()
+        self.problems: dict[str, tuple[Level, str]] = {}
+        self._clock = clock
+        self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)
+        self._last_result: Result | None = None
+        self._last_event = clock()
+        self._reported = (clock(), Counter[str]())
+
+    def add_events(self, count: int) -> None:
+        """Count the events of one message."""
+        self.counts["messages"] += 1
+        self.counts["events"] += count
+        if count:
+            self._last_event = self._clock()
+
+    def add_result(self, result: Result) -> None:
+        """Count an estimate, usable or not, and its latency since the window was complete."""
+        self.counts[f"windows_{result.estimate.status}"] += 1
+        self._latencies.append(self._clock() - result.task.received)
+        self._last_result = result
+
+    def set_problem(self, part: str, level: Level, message: str) -> None:
+        """State what is wrong with a part of the node, until it is cleared."""
+        self.problems[part] = (level, message)
+
+    def clear_problem(self, part: str) -> None:
+        """State that a part of the node works."""
+        self.problems.pop(part, None)
+
+    def report(self, silence_s: float) -> Report:
+        """Judge the time since the last report.
+
+        Args:
+            silence_s: without events for this long the report warns.
+        """
+        now = self._clock()
+        before, counts = self._reported[0], self._reported[1]
+        elapsed = max(now - before, 1e-9)
+        current = self.counts.copy()
+        self._reported = (now, current)
+        level, message = self._verdict(now, current - counts, silence_s)
+        done = sum(current[name] - counts[name] for name in _STATUSES)
+        values = {
+            "events_per_s": f"{(current['events'] - counts['events']) / elapsed:.0f}",
+            "windows_per_s": f"{done / elapsed:.2f}",
+            **self._quality(),
+            **{name: str(current[name]) for name in sorted(current)},
+        }
+        return Report(level, message, values)
+
+    def _verdict(self, now: float, recent: Counter[str], silence_s: float) -> tuple[Level, str]:
+        if self.problems:
+            return max(self.problems.values())
+        if now - self._last_event > silence_s:
+            silent = now - self._last_event
+            return Level.WARN, f"no events for {silent:.1f} s: check the driver or the bag"
+        for name, reason in _WARNINGS.items():
+            if recent[name]:
+                return Level.WARN, f"{recent[name]} {reason}"
+        return Level.OK, "running"
+
+    def _quality(self) -> dict[str, str]:
+        values = {}
+        if self._latencies:
+            p50, p95 = np.percentile(self._latencies, [50, 95]) * 1e3
+            values["latency_p50_ms"] = f"{p50:.1f}"
+            values["latency_p95_ms"] = f"{p95:.1f}"
+        if self._last_result is not None:
+            estimate = self._last_result.estimate
+            values["status"] = str(estimate.status)
+            values["model"] = str(estimate.model)
+            values["iterations"] = str(estimate.quality.iterations)
+            values["stop_reason"] = estimate.quality.stop_reason
+        return values

@@ -1,0 +1,278 @@
+"""The node's side of the worker: starts it, feeds it, and replaces it when it dies or hangs."""
+
+import contextlib
+import multiprocessing
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from numpy.typing import NDArray
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.windows import Window
+from emoflow_ros.node.channel import Arrays, Channel
+from emoflow_ros.node.queue import DropOldestQueue
+from emoflow_ros.node.worker import serve
+
+FACTORY = "emoflow_ros.core.factory:make_estimator"
+
+_IDLE_S = 0.1
+_LONGEST_PAUSE_S = 10.0
+_START_S = 120.0  # the first start on a machine compiles
+
+
+@dataclass(frozen=True)
+class Task:
+    """A window on its way through the worker.
+
+    Attributes:
+        window: what to estimate.
+        epoch: which run of event time it belongs to; a jump back starts the next one.
+        time_offset: ROS time minus event time, ns.
+        frame_id: the camera's optical frame.
+        received: monotonic time in s at which the window was complete.
+    """
+
+    window: Window
+    epoch: int
+    time_offset: int
+    frame_id: str
+    received: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """A task's answer: the estimate without its samplers, and the flow if it was asked for.
+
+    Attributes:
+        task: what was asked.
+        estimate: `flow` and `motion` are None.
+        flow: (height, width, 2) px/s at the estimate's time `t`, NaN = none.
+    """
+
+    task: Task
+    estimate: Estimate
+    flow: NDArray[Any] | None
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A window that has no result, and maybe its worker with it.
+
+    Attributes:
+        reason: one line.
+        worker: whether the worker was lost and is started again.
+    """
+
+    reason: str
+    worker: bool
+
+
+type Outcome = Result | Loss
+
+
+class WorkerDiedError(Exception):
+    """The worker ended, or was ended, before it answered."""
+
+
+class Supervisor:
+    """Runs tasks through a worker process, one at a time, in a thread of its own.
+
+    A worker that dies or takes longer than `timeout_s` is replaced; that costs the window it
+    was working on. The replacement is forked from a server process that has the estimator's
+    modules loaded already.
+
+    Args:
+        capacity: windows that may wait; one more drops the oldest.
+        timeout_s: time for one window.
+        on_outcome: called in the supervisor's thread with what became of a task or the worker.
+        factory: `module:function` that makes the estimator in the worker.
+
+    Attributes:
+        queue: where tasks are put.
+        ready: set once the first worker is warm.
+        flow_wanted: whether results should hold the flow.
+    """
+
+    def __init__(
+        self,
+        *,
+        capacity: int,
+        timeout_s: float,
+        on_outcome: Callable[[Outcome], None],
+        factory: str = FACTORY,
+    ) -> None:
+        self.queue: DropOldestQueue[Task] = DropOldestQueue(capacity)
+        self.ready = threading.Event()
+        self.flow_wanted = False
+        self._timeout_s = timeout_s
+        self._on_outcome = on_outcome
+        self._factory = factory
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload([factory.partition(":")[0], serve.__module__])
+        self._setup: tuple[Camera, Config] | None = None
+        self._configured: tuple[Camera, Config] | None = None
+        self._epoch = -1
+        self._process: BaseProcess | None = None
+        self._channel: Channel | None = None
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread, which starts the worker; `ready` is set when that is warm."""
+        self._thread.start()
+
+    def configure(self, camera: Camera, config: Config) -> None:
+        """Set what the next windows are estimated with. Windows wait until this was called."""
+        self._setup = (camera, config)
+
+    @property
+    def pid(self) -> int | None:
+        """The worker's process id, None while there is none."""
+        process = self._process
+        return None if process is None else process.pid
+
+    def stop(self) -> None:
+        """End the worker at once, also in the middle of a window."""
+        self._stopping.set()
+        self._kill()
+        if self._thread.is_alive():
+            self._thread.join(timeout=0.5)
+        self._kill()
+
+    def _run(self) -> None:
+        # The server process and its workers inherit this thread's mask: Ctrl-C is for the node.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        pause = _IDLE_S
+        while not self._stopping.is_set():
+            try:
+                if self._channel is None:
+                    self._start_worker()
+                    self.ready.set()
+                answered = self._serve_next()
+            except WorkerDiedError as error:
+                if self._stopping.is_set():
+                    break
+                self._lose_worker(str(error))
+                self._stopping.wait(pause)
+                pause = min(2 * pause, _LONGEST_PAUSE_S)
+            else:
+                if answered:
+                    pause = _IDLE_S
+        self._kill()
+
+    def _serve_next(self) -> bool:
+        """Run the oldest task, if there is one and the camera is known."""
+        if self._setup is None:
+            self._stopping.wait(_IDLE_S)
+            return False
+        task = self.queue.get(_IDLE_S)
+        if task is None:
+            return False
+        if self._setup != self._configured:
+            self._configure(*self._setup)
+        cold = task.epoch != self._epoch
+        self._epoch = task.epoch
+        window = task.window
+        header, arrays = self._request(
+            {
+                "kind": "window",
+                "t_start": window.t_start,
+                "t_end": window.t_end,
+                "cold": cold,
+                "flow": self.flow_wanted,
+            },
+            {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
+        )
+        if "error" in header:
+            self._on_outcome(Loss(f"a window failed: {header['error']}", worker=False))
+        else:
+            self._on_outcome(_unpack(task, header, arrays))
+        return True
+
+    def _configure(self, camera: Camera, config: Config) -> None:
+        answer, _ = self._request(
+            {"kind": "configure", "camera": asdict(camera), "config": config.flat()}, {}
+        )
+        if "error" in answer:
+            raise WorkerDiedError(f"the worker cannot be configured: {answer['error']}")
+        self._configured = (camera, config)
+
+    def _start_worker(self) -> None:
+        mine, its = self._context.Pipe()
+        process = self._context.Process(
+            target=serve, args=(its, self._factory), name="estimator_worker", daemon=True
+        )
+        try:
+            process.start()
+        except (OSError, EOFError) as error:
+            raise WorkerDiedError(f"the worker cannot be started ({error})") from None
+        finally:
+            its.close()
+        self._process, self._channel, self._configured = process, Channel(mine), None
+        if self._stopping.is_set():
+            raise WorkerDiedError("stopped")
+        if not self.ready.is_set():  # a replacement has windows waiting
+            answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)
+            if "error" in answer:
+                raise WorkerDiedError(f"the worker cannot be started: {answer['error']}")
+
+    def _request(
+        self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None
+    ) -> tuple[dict[str, Any], Arrays]:
+        """Send a request and wait for the answer; past the time the worker is killed."""
+        assert self._channel is not None
+        limit = self._timeout_s if timeout_s is None else timeout_s
+        started = time.monotonic()
+        watchdog = threading.Timer(limit, self._kill)
+        watchdog.start()
+        try:
+            self._channel.send(header, arrays)
+            return self._channel.receive()
+        except (EOFError, OSError):
+            pass
+        finally:
+            watchdog.cancel()
+        if time.monotonic() - started >= limit:
+            raise WorkerDiedError(f"the worker gave no answer in {limit:g} s and was ended")
+        raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
+
+    def _exit_reason(self) -> str:
+        assert self._process is not None
+        self._process.join(1.0)
+        code = self._process.exitcode
+        return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+
+    def _lose_worker(self, reason: str) -> None:
+        self._kill()
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+        self._on_outcome(Loss(f"{reason}; it is started again", worker=True))
+
+    def _kill(self) -> None:
+        process = self._process
+        if process is not None:
+            with contextlib.suppress(ValueError, OSError):
+                process.kill()
+
+
+def _unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
+    estimate = Estimate(
+        t_start=header["t_start"],
+        t_end=header["t_end"],
+        t=header["t"],
+        status=Status(header["status"]),
+        model=MotionModel(header["model"]),
+        quality=Quality(**header["quality"]),
+        linear=arrays["linear"],
+        angular=arrays["angular"],
+        covariance=arrays["covariance"],
+    )
+    return Result(task, estimate, arrays.get("flow"))

@@ -1,0 +1,6 @@
+"""Let the worker process find the fake estimators by name."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))

@@ -1,0 +1,95 @@
+"""Estimators that the worker runs in tests: each shows one good or bad behaviour."""
+
+import os
+import signal
+import time
+
+import numpy as np
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.windows import Window
+
+_POISON_X = 7  # a window of events in this column alone triggers the bad behaviour
+
+
+class Recorder:
+    """Answer with what it was given: angular = (events, windows since the reset, camera width)."""
+
+    def __init__(self, camera: Camera, config: Config) -> None:
+        self.camera = camera
+        self.config = config
+        self.windows = 0
+
+    def estimate(self, window: Window) -> Estimate:
+        self.windows += 1
+        return Estimate(
+            t_start=window.t_start,
+            t_end=window.t_end,
+            t=(window.t_start + window.t_end) // 2,
+            status=Status.OK,
+            quality=Quality(events=len(window.events), stop_reason="converged"),
+            model=MotionModel.FULL,
+            linear=np.array([0.0, 0.6, 0.8]),
+            angular=np.array([len(window.events), self.windows, self.camera.width], float),
+            covariance=np.eye(6),
+            flow=Shift(self.camera),
+        )
+
+    def reset(self) -> None:
+        self.windows = 0
+
+
+class Shift:
+    """A flow of (1, -2) px/s, none in the first column."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+
+    def velocity(self, t: int) -> np.ndarray:
+        flow = np.tile(np.float32([1, -2]), (self.camera.height, self.camera.width, 1))
+        flow[:, 0] = np.nan
+        return flow
+
+
+class Poisoned(Recorder):
+    """Misbehaves on windows of events in column 7 alone."""
+
+    def estimate(self, window: Window) -> Estimate:
+        if (window.events.x == _POISON_X).all():
+            self.misbehave()
+        return super().estimate(window)
+
+
+class Dying(Poisoned):
+    def misbehave(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Hanging(Poisoned):
+    def misbehave(self) -> None:
+        time.sleep(3600)
+
+
+class Raising(Poisoned):
+    def misbehave(self) -> None:
+        raise FloatingPointError("no luck")
+
+
+class NotFinite(Recorder):
+    def estimate(self, window: Window) -> Estimate:
+        estimate = super().estimate(window)
+        if (window.events.x == _POISON_X).all():
+            estimate.angular[1] = np.nan
+        return estimate
+
+
+class Busy(Recorder):
+    """Optimises for ever, without ever letting go of the interpreter."""
+
+    def estimate(self, window: Window) -> Estimate:
+        if window.t_start > 0:  # the warm-up starts at 0
+            while True:
+                pass
+        return super().estimate(window)

@@ -1,0 +1,28 @@
+import threading
+import time
+
+from emoflow_ros.node.queue import DropOldestQueue
+
+
+def test_full_queue_drops_the_oldest_and_counts() -> None:
+    queue = DropOldestQueue[int](3)
+    for item in range(5):
+        queue.put(item)
+    assert queue.dropped == 2
+    assert [queue.get(0) for _ in range(4)] == [2, 3, 4, None]
+
+
+def test_clear_forgets_without_counting() -> None:
+    queue = DropOldestQueue[int](3)
+    queue.put(1)
+    queue.clear()
+    assert queue.get(0) is None
+    assert queue.dropped == 0
+
+
+def test_get_returns_as_soon_as_an_item_comes() -> None:
+    queue = DropOldestQueue[str](1)
+    threading.Timer(0.05, queue.put, ["late"]).start()
+    started = time.monotonic()
+    assert queue.get(5.0) == "late"
+    assert time.monotonic() - started < 1.0
