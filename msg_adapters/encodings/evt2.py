@@ -54,7 +54,7 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     high, known = state[_HIGH], state[_KNOWN]
     n = triggers = wraps = skipped = 0
     for i in range(len(words)):
-        word = words[i]
+        word = np.int64(words[i])
         kind = word >> 28
         if kind <= _CD_ON:
             if known:

@@ -38,7 +38,9 @@ _ADDRESSABLE = _SEEN_HIGH | _SEEN_LOW | _SEEN_ROW
 _WRAP_US = 1 << 24
 # The high time of real sensors goes back a little at times without having wrapped.
 _JITTER_US = 10 << 12
-_END_OF_ROW = 1 << 11  # columns have 11 bits; a vector beyond lies outside of every sensor
+_END_OF_ROW = np.int64(
+    1 << 11
+)  # columns have 11 bits; a vector beyond lies outside of every sensor
 
 
 class PacketDecoder:
@@ -88,7 +90,7 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     time = (high | low) * 1000
     n = triggers = wraps = skipped = 0
     for i in range(len(words)):
-        word = words[i]
+        word = np.int64(words[i])
         kind = word >> 12
         if kind == _ADDR_X:
             if known & _ADDRESSABLE == _ADDRESSABLE:

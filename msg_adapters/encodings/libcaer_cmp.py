@@ -23,7 +23,7 @@ _VECT_8 = 0x5  # bit i: an event at base + i; the base advances by 8
 
 _WRAP_US = 1 << 24
 _JITTER_US = 10 << 12
-_END_OF_COLUMN = 1 << 11  # rows have 11 bits
+_END_OF_COLUMN = np.int64(1 << 11)  # rows have 11 bits
 _NOT_SEEN = -1
 
 
@@ -66,11 +66,11 @@ def _count(words):  # type: ignore[no-untyped-def]
 @njit(kernel_signature(types.uint16), cache=True, nogil=True)
 def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     time_base = time = state[0]
-    high = low = on = 0
-    column = base = _NOT_SEEN
+    high = low = on = np.int64(0)
+    column = base = np.int64(_NOT_SEEN)
     n = wraps = skipped = 0
     for i in range(len(words)):
-        word = words[i]
+        word = np.int64(words[i])
         kind = word >> 12
         if kind == _VECT_8:
             if column != _NOT_SEEN and base != _NOT_SEEN:
