@@ -62,8 +62,7 @@ def assess(problem: Problem, result: Fit, focal: float, config: ImplicitConfig) 
         linear = linear * _sign(bearings, flow, v, w)
         residual = _epipolar_residual(bearings, flow, v, w)
     residual = np.abs(residual) * focal * problem.duration
-    scale = float(_MEDIAN_TO_SIGMA * np.median(residual)) if residual.size else float("nan")
-    inliers = float(np.mean(residual <= _INLIER_SCALES * scale)) if residual.size else 0.0
+    scale = float(_MEDIAN_TO_SIGMA * np.median(residual))
     gain = _contrast_gain(problem, result, config)
     return Assessment(
         status=_status(gain, scale, config),
@@ -71,7 +70,7 @@ def assess(problem: Problem, result: Fit, focal: float, config: ImplicitConfig) 
         linear_points=linear,
         contrast_gain=gain,
         residual_px=scale,
-        inlier_fraction=inliers,
+        inlier_fraction=float(np.mean(residual <= _INLIER_SCALES * scale)),
     )
 
 

@@ -49,7 +49,7 @@ class ImplicitEstimator:
         middle = (window.t_start + window.t_end) // 2
         if len(events) < self._config.min_events:
             status = Status.TOO_FEW_EVENTS
-            quality = Quality(len(events), stop_reason=status)
+            quality = Quality(len(events), stop_reason=status.value)
             return Estimate(window.t_start, window.t_end, middle, status, quality)
         problem = self._problem(window, events)
         camera = self._camera
@@ -59,7 +59,7 @@ class ImplicitEstimator:
         quality = Quality(
             events=len(events),
             iterations=result.iterations,
-            stop_reason=result.stop_reason if ok else found.status,
+            stop_reason=result.stop_reason if ok else found.status.value,
             contrast_gain=found.contrast_gain,
             residual_px=found.residual_px,
             inlier_fraction=found.inlier_fraction,

@@ -196,6 +196,19 @@ def test_a_window_without_gain_is_one_without_motion(camera: Camera) -> None:
     assert estimate.flow is None
 
 
+def test_noise_alone_is_no_motion(camera: Camera) -> None:
+    rng = np.random.default_rng(5)
+    events = Events(
+        rng.integers(0, camera.width, 3000).astype(np.uint16),
+        rng.integers(0, camera.height, 3000).astype(np.uint16),
+        START + np.sort(rng.integers(0, DURATION, 3000)),
+        np.ones(3000, np.bool_),
+    )
+    estimate = ImplicitEstimator(camera, CONFIG).estimate(Window(START, START + DURATION, events))
+    assert estimate.status is Status.NO_MOTION
+    assert estimate.quality.contrast_gain < 1
+
+
 def test_a_diverged_fit_is_named(camera: Camera, window: Window) -> None:
     rates = OptimizerConfig(iterations=20, field_rate=1e30, final_field_rate=1e30)
     config = dataclasses.replace(CONFIG, optimizer=rates)

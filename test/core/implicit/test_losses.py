@@ -10,6 +10,8 @@ from torch import Tensor
 from emoflow_ros.core import epipolar
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.implicit import losses
+from emoflow_ros.core.implicit.motion import MotionSpline
+from emoflow_ros.core.spline import basis
 
 Array = NDArray[np.float64]
 
@@ -136,6 +138,23 @@ def test_dec_residual_agrees_with_its_definition_and_the_numpy_core() -> None:
     expected = np.einsum("ni,ij,nj->n", u, vx, x) - np.einsum("ni,ij,nj->n", x, s, x)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_allclose(found, epipolar.dec_residual(bearings, flow, v, w), atol=1e-12)
+
+
+def test_minimising_the_dec_recovers_the_motion_of_an_exact_flow(small_camera: Camera) -> None:
+    pixels, flow, _, v, w = motion_field(small_camera, 8)
+    maps = losses.PixelMaps.of(small_camera, "cpu")
+    bearings, mapped = maps.normalised(torch.tensor(pixels), torch.tensor(flow).float())
+    motion = MotionSpline(0.2)
+    weights = torch.from_numpy(basis(0.5)).float()
+    optimizer = torch.optim.Adam(motion.parameters(), lr=0.02)
+    for _ in range(600):
+        optimizer.zero_grad()
+        found_v, found_w = motion(weights)
+        residual = losses.dec_residual(bearings, mapped, found_v, found_w)
+        losses.dec_loss(residual, "huber", 0.1).backward()
+        optimizer.step()
+    assert abs(found_v.detach().numpy() @ v) > math.cos(math.radians(1))
+    np.testing.assert_allclose(found_w.detach(), w, atol=0.02)
 
 
 def test_rotation_loss_is_zero_for_a_rotation_only(small_camera: Camera) -> None:
