@@ -26,10 +26,12 @@ with atheris.instrument_imports(include=["msg_adapters"]):
 
     from msg_adapters import DecodeError, make_decoder, supported_types
 
+    PACKET = "event_camera_msgs/msg/EventPacket"
+    make_decoder(PACKET, "cdr")  # imports all formats and encodings, instrumented
+
 DEFAULT_RUNS = 1_000_000
 MAX_LENGTH = 400
 MAX_EVENTS_PER_BYTE = 8
-PACKET = "event_camera_msgs/msg/EventPacket"
 TARGETS = [
     *(f"{t}:{s}" for t in supported_types() for s in ("cdr", "ros1")),
     *(f"{PACKET}:{encoding}" for encoding in ENCODERS),
