@@ -1,0 +1,189 @@
+"""The other end of the node in tests: processes under test, and a ROS node that talks to them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from dvs_msgs.msg import EventArray
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.simulation.messages import MessageEncoder
+
+ROOT = Path(__file__).resolve().parents[2]
+CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+MS = 1_000_000
+WAIT_S = 30.0
+
+_DRIVER_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, f"{what}: not within {timeout_s} s"
+        time.sleep(0.01)
+
+
+class Peer:
+    """A node in the test's own process that publishes what a driver would and collects answers."""
+
+    def __init__(self, events_topic: str = "/cam/events") -> None:
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("peer", context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._encoder = MessageEncoder(ros1=False)
+        namespace = events_topic.rpartition("/")[0]
+        self.events = self.node.create_publisher(EventArray, events_topic, _DRIVER_QOS)
+        self.camera_info = self.node.create_publisher(
+            CameraInfo, f"{namespace}/camera_info", _DRIVER_QOS
+        )
+        self.twists: list[TwistStamped] = []
+        self.covariances: list[TwistWithCovarianceStamped] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        self.images: list[Image] = []
+        subscribe = self.node.create_subscription
+        subscribe(TwistStamped, "/egomotion/twist", self.twists.append, 100)
+        subscribe(
+            TwistWithCovarianceStamped,
+            "/egomotion/twist_with_covariance",
+            self.covariances.append,
+            100,
+        )
+        subscribe(DiagnosticArray, "/diagnostics", self.diagnostics.append, 100)
+
+    def subscribe_flow(self) -> None:
+        self.node.create_subscription(Image, "/flow/image", self.images.append, 100)
+
+    def spin_until(
+        self, condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S
+    ) -> None:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, f"{what}: not within {timeout_s} s"
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def connect(self) -> None:
+        """Wait until the node under test listens."""
+        self.spin_until(
+            lambda: (
+                self.events.get_subscription_count()
+                and self.camera_info.get_subscription_count()
+                and self.node.count_publishers("/egomotion/twist")
+            ),
+            "the node listens",
+        )
+
+    def publish_camera(self, camera: Camera = CAMERA) -> None:
+        self.camera_info.publish(self._encoder.camera_info(0, camera))
+
+    def publish_events(
+        self, t: int, *, x: int = 0, count: int = 5, camera: Camera = CAMERA
+    ) -> None:
+        """Publish `count` events of one column from time t (ns) on, 1 us apart."""
+        events = Events(
+            np.full(count, x, np.uint16),
+            np.zeros(count, np.uint16),
+            t + 1000 * np.arange(count, dtype=np.int64),
+            np.ones(count, bool),
+        )
+        self.events.publish(self._encoder.events(t, camera, events))
+
+    def status(self) -> dict[str, str]:
+        """Return the latest diagnostics: the numbers, and `message`."""
+        if not self.diagnostics:
+            return {"message": ""}
+        status = self.diagnostics[-1].status[0]
+        return {v.key: v.value for v in status.values} | {"message": status.message}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+class Processes:
+    """Starts the executables under test in groups of their own, and leaves none behind."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    def start(self, *command: str) -> subprocess.Popen[bytes]:
+        """Start a command; its output goes to a file of its own (see `output`)."""
+        log = self._log(len(self._started)).open("wb")
+        environment = dict(os.environ)
+        paths = [str(ROOT), str(ROOT / "test" / "node"), environment.get("PYTHONPATH", "")]
+        environment["PYTHONPATH"] = os.pathsep.join(p for p in paths if p)
+        environment["PYTHONUNBUFFERED"] = "1"
+        with log:
+            process = subprocess.Popen(
+                command, stdout=log, stderr=log, env=environment, start_new_session=True
+            )
+        self._started.append(process)
+        return process
+
+    def start_node(self, estimator: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start the node with one of the fake estimators, windows of 10 ms."""
+        code = (
+            "import sys; from emoflow_ros.node.estimator import main; "
+            f"sys.exit(main('fake_estimators:{estimator}'))"
+        )
+        parameters = ("-p", "window.duration_ms:=10.0", "-p", "output.diagnostics_s:=0.2")
+        return self.start(sys.executable, "-c", code, "--ros-args", *parameters, *arguments)
+
+    def output(self, process: subprocess.Popen[bytes]) -> str:
+        """Return what the process has written so far."""
+        return self._log(self._started.index(process)).read_text()
+
+    def _log(self, index: int) -> Path:
+        return self._folder / f"process_{index}.log"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for process in self._started:
+            for wish, patience_s in (
+                (signal.SIGINT, 3.0),
+                (signal.SIGTERM, 2.0),
+                (signal.SIGKILL, 5.0),
+            ):
+                if process.poll() is not None:
+                    break
+                process.send_signal(wish)
+                try:
+                    process.wait(patience_s)
+                except subprocess.TimeoutExpired:
+                    continue
+            if error is not None:
+                print(f"--- {process.args}\n{self.output(process)}")

@@ -1,0 +1,210 @@
+"""The node over DDS, with estimators that show what arrived at them."""
+
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import CAMERA, MS, Peer, Processes
+
+from emoflow_ros.core.camera import Camera
+
+pytestmark = pytest.mark.dds
+
+
+def stamp(message: object) -> int:
+    time_ = message.header.stamp
+    return time_.sec * 1_000_000_000 + time_.nanosec
+
+
+def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
+    """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
+    for t in range(first_ms, last_ms, 5):
+        peer.publish_events(t * MS, x=x)
+
+
+def test_twist_holds_what_the_estimator_said(peer: Peer, processes: Processes) -> None:
+    processes.start_node("Recorder")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1031)
+    peer.spin_until(lambda: len(peer.twists) == 3, "three twists")
+    assert [stamp(t) for t in peer.twists] == [1005 * MS, 1015 * MS, 1025 * MS]
+    first = peer.twists[0]
+    assert first.header.frame_id == "davis_left_optical"
+    linear, angular = first.twist.linear, first.twist.angular
+    assert (linear.x, linear.y, linear.z) == (0.0, 0.6, 0.8)
+    assert (angular.x, angular.y, angular.z) == (10, 1, CAMERA.width)
+    peer.spin_until(lambda: len(peer.covariances) == 3, "three twists with covariance")
+    assert peer.covariances[0].header == first.header
+    assert peer.covariances[0].twist.twist == first.twist
+    np.testing.assert_array_equal(peer.covariances[0].twist.covariance, np.eye(6).ravel())
+
+
+def test_flow_image_is_in_pixels_per_second(peer: Peer, processes: Processes) -> None:
+    peer.subscribe_flow()
+    processes.start_node("Recorder", "-p", "camera.frame_id:=my_frame")
+    peer.connect()
+    peer.spin_until(lambda: peer.node.count_publishers("/flow/image"), "flow is offered")
+    peer.publish_camera()
+
+    clock = iter(range(1000, 10_000, 5))
+
+    def publish_until_image() -> bool:
+        peer.publish_events(next(clock) * MS)
+        return bool(peer.images)
+
+    peer.spin_until(publish_until_image, "a flow image")
+    image = peer.images[0]
+    assert (image.encoding, image.width, image.height, image.step) == ("32FC2", 64, 48, 512)
+    assert image.header.frame_id == "my_frame"
+    flow = np.frombuffer(image.data, "<f4").reshape(48, 64, 2)
+    assert np.isnan(flow[:, 0]).all()
+    np.testing.assert_array_equal(flow[:, 1:], np.tile(np.float32([1, -2]), (48, 63, 1)))
+
+
+@pytest.mark.parametrize("wish", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_node_mid_optimisation(
+    peer: Peer, processes: Processes, wish: signal.Signals
+) -> None:
+    node = processes.start_node("Busy")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1031)
+    peer.spin_until(lambda: peer.status().get("events") == "35", "the events arrived")
+    children = _children(node.pid)
+    assert children
+    started = time.monotonic()
+    os.killpg(node.pid, wish) if wish is signal.SIGINT else node.send_signal(wish)
+    assert node.wait(5.0) == 0
+    assert time.monotonic() - started < 1.0
+    deadline = time.monotonic() + 5.0
+    while any(Path(f"/proc/{pid}").exists() for pid in children):
+        assert time.monotonic() < deadline, "processes are left behind"
+        time.sleep(0.02)
+    assert "Traceback" not in processes.output(node)
+
+
+def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Processes) -> None:
+    node = processes.start_node("Dying")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1020)
+    run_windows(peer, 1020, 1030, x=7)  # the third window
+    run_windows(peer, 1030, 1061)
+    peer.spin_until(lambda: len(peer.twists) == 5, "all windows but one")
+    assert [stamp(t) // MS for t in peer.twists] == [1005, 1015, 1035, 1045, 1055]
+    lines = [line for line in processes.output(node).splitlines() if "ERROR" in line]
+    assert len(lines) == 1
+    assert "the worker died (signal 9); it is started again" in lines[0]
+    peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
+
+
+def test_malformed_messages_among_good_ones(peer: Peer, processes: Processes) -> None:
+    node = processes.start_node("Recorder", "-p", "input.queue_windows:=20")
+    peer.connect()
+    peer.publish_camera()
+    rng = np.random.default_rng(3)
+    for t in range(1000, 1101, 5):
+        peer.publish_events(t * MS)
+        peer.events.publish(b"\x00\x01\x00\x00" + rng.bytes(40))
+        peer.events.publish(b"\x00")
+    peer.spin_until(lambda: len(peer.twists) == 10, "all windows of the good messages")
+    assert {t.twist.angular.x for t in peer.twists} == {10.0}
+    peer.spin_until(lambda: peer.status().get("malformed_messages") == "42", "the count")
+    assert processes.output(node).count("malformed") == 1  # throttled
+    assert node.poll() is None
+
+
+def test_jump_back_in_time_resets_once(peer: Peer, processes: Processes) -> None:
+    node = processes.start_node("Recorder")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 5000, 5021)
+    peer.spin_until(lambda: len(peer.twists) == 2, "windows before the jump")
+    run_windows(peer, 1000, 1021)
+    peer.spin_until(lambda: len(peer.twists) == 4, "windows after the jump")
+    assert [stamp(t) // MS for t in peer.twists] == [5005, 5015, 1005, 1015]
+    assert [t.twist.angular.y for t in peer.twists] == [1, 2, 1, 2]  # cold after the jump
+    assert processes.output(node).count("event time went back") == 1
+
+
+def test_events_of_another_sensor_are_refused(peer: Peer, processes: Processes) -> None:
+    node = processes.start_node("Recorder")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a window")
+    peer.publish_events(1011 * MS, camera=Camera(32, 24, 20.0, 20.0, 16.0, 12.0))
+    peer.spin_until(lambda: peer.status().get("wrong_size_messages") == "1", "the count")
+    assert "events of a 32x24 sensor do not fit the calibration of a 64x48 one" in (
+        processes.output(node)
+    )
+
+
+def test_uncalibrated_camera_info_is_named_and_a_good_one_accepted(
+    peer: Peer, processes: Processes
+) -> None:
+    node = processes.start_node("Recorder")
+    peer.connect()
+    info = peer.camera_info.msg_type(width=64, height=48)  # K is zero
+    peer.camera_info.publish(info)
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: "focal lengths" in peer.status()["message"], "the diagnosis")
+    peer.publish_camera()
+    peer.spin_until(lambda: len(peer.twists) == 1, "the window that waited")
+    assert processes.output(node).count("focal lengths") == 1
+
+
+def test_events_on_two_topics_are_listed(peer: Peer, processes: Processes) -> None:
+    with Peer("/other/events"):
+        node = processes.start_node("Recorder")
+        peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
+        assert "/cam/events, /other/events; choose with --ros-args -r events:=/cam/events" in (
+            processes.output(node)
+        )
+
+
+def test_remapped_topic_is_taken(peer: Peer, processes: Processes) -> None:
+    with Peer("/other/events") as other:
+        node = processes.start_node("Recorder", "-r", "events:=/other/events")
+        other.connect()
+        assert peer.events.get_subscription_count() == 0
+        assert "listening to /other/events (dvs_msgs/msg/EventArray)" in processes.output(node)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (
+            ["-p", "window.duration_ms:=-5.0"],
+            "error: window.duration_ms: -5.0 is out of range; use 1 to 10000",
+        ),
+        (["-p", "window.durations:=5.0"], "error: window.durations: no such option; known here"),
+        (
+            ["-p", "camera.calibration_file:=/nowhere.yaml"],
+            "error: /nowhere.yaml: no such file or directory; give a calibration file",
+        ),
+        (["-p", "profile:=warp"], "error: profile: unknown profile 'warp'; use one of"),
+    ],
+)
+def test_bad_parameters_are_refused_in_one_line(
+    processes: Processes, arguments: list[str], line: str
+) -> None:
+    node = processes.start_node("Recorder", *arguments)
+    assert node.wait(20.0) == 2
+    errors = re.findall(r"^error: .*", processes.output(node), re.MULTILINE)
+    assert len(errors) == 1
+    assert errors[0].startswith(line)
+
+
+def _children(pid: int) -> list[int]:
+    listing = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    )
+    direct = [int(child) for child in listing.stdout.split()]
+    return direct + [grandchild for child in direct for grandchild in _children(child)]
