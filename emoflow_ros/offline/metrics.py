@@ -100,8 +100,3 @@ def angle_deg(a: Vectors, b: Vectors) -> Vectors:
     angle = np.degrees(np.arctan2(sine, cosine))
     is_zero = (np.abs(a).max(axis=-1) == 0) | (np.abs(b).max(axis=-1) == 0)
     return np.asarray(np.where(is_zero, np.nan, angle))
-
-
-def rms(errors: Vectors) -> float:
-    """Root of the mean square over all windows and axes of errors (N, 3), in their unit."""
-    return float(np.sqrt(np.mean(np.square(errors)))) if errors.size else float("nan")

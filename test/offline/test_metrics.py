@@ -101,9 +101,3 @@ def test_angle_between_vectors(a, b, degrees):
 
 def test_angle_to_a_zero_vector_is_undefined():
     assert np.isnan(metrics.angle_deg(np.zeros(3), np.array([1.0, 0, 0])))
-
-
-def test_rms_is_over_windows_and_axes():
-    errors = np.array([[3.0, 0, 0], [0, 4.0, 0]])
-    assert metrics.rms(errors) == pytest.approx(math.sqrt(25 / 6))
-    assert math.isnan(metrics.rms(np.empty((0, 3))))

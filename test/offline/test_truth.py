@@ -194,7 +194,7 @@ class TestPropagation:
 
 class TestMvsecNpz:
     def write(self, path, save=np.savez):
-        x = np.arange(4 * 3 * 5, dtype=np.float64).reshape(4, 3, 5)
+        x = np.arange(4 * 30 * 50, dtype=np.float64).reshape(4, 30, 50)
         save(path, timestamps=[10.0, 10.05, 10.1, 10.15], x_flow_dist=x, y_flow_dist=-x)
         return x
 

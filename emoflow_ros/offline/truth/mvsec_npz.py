@@ -28,10 +28,9 @@ class MvsecFlowMaps:
         self._path = path
         self.name = path.name
         try:
-            self._archive = zipfile.ZipFile(path)
-            with self._archive.open("timestamps.npy") as file:
+            with zipfile.ZipFile(path) as archive, archive.open("timestamps.npy") as file:
                 seconds = np.lib.format.read_array(file)
-            self._columns = [_Frames(self._archive, f"{part}.npy") for part in _PARTS[1:]]
+            self._columns = [_Frames(path, f"{part}.npy") for part in _PARTS[1:]]
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             reason = " ".join(str(error).split())
             raise InputError(path, f"not a flow ground truth ({reason})", _FIX) from None
@@ -53,8 +52,9 @@ class MvsecFlowMaps:
 class _Frames:
     """One (N, H, W) array of an archive, read frame by frame."""
 
-    def __init__(self, archive: zipfile.ZipFile, member: str) -> None:
-        self._stream = archive.open(member)
+    def __init__(self, path: Path, member: str) -> None:
+        # An archive of its own: members of one archive disturb each other when they seek.
+        self._stream = zipfile.ZipFile(path).open(member)
         major, _ = np.lib.format.read_magic(self._stream)
         if major == 1:
             header = np.lib.format.read_array_header_1_0(self._stream)

@@ -1,0 +1,167 @@
+"""The executable `evaluate`: a recording in, egomotion, flow and a report out."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from emoflow_ros import cli
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.windows import WindowSlicer
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.estimates import EstimatesWriter
+from emoflow_ros.offline.evaluation import Evaluation, evaluate
+from emoflow_ros.offline.readers import open_recording, require_camera
+from emoflow_ros.offline.report import write_report
+from emoflow_ros.offline.summary import summarise
+from emoflow_ros.offline.truth import load_truth
+
+_EXIT_NOTHING_ESTIMATED = 1
+_EPILOG = """\
+examples:
+  evaluate recording.bag --calib camera.yaml
+  evaluate indoor_flying1_data.bag --gt indoor_flying1_gt.bag indoor_flying1_gt_flow_dist.npz
+  evaluate shapes_rotation/ --window-ms 98 --out out/shapes
+
+writes into DIR: report.html, report.json, windows.csv and estimates.h5 (docs/estimates_file.md).
+exit codes: 0 done, 1 no window could be estimated, 2 bad input, 130 interrupted (what was done
+until then is written).
+"""
+
+
+def main() -> int:
+    """Entry point."""
+    return cli.run(lambda: _run(_parse(sys.argv[1:])))
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="evaluate",
+        description="Estimate egomotion and optical flow of a recording, without ROS running, and "
+        "compare them with ground truth.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add(
+        "input",
+        type=Path,
+        metavar="INPUT",
+        help="ROS 1 bag, rosbag2 folder, .mcap, .db3, or ECD folder with events.txt",
+    )
+    add(
+        "--gt",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="GT",
+        help="ground truth: bags with poses and depth, MVSEC's *_gt_flow_dist.npz, ECD's "
+        "motion.txt or groundtruth.txt (default: what lies in an ECD folder)",
+    )
+    add(
+        "--calib",
+        type=Path,
+        metavar="FILE",
+        help="calibration: camera_info YAML or ECD calib.txt (default: the recording's own)",
+    )
+    add("--topic", metavar="T", help="event topic, where the recording has several")
+    add("--profile", default="realtime", metavar="NAME", help="configuration (default: realtime)")
+    add("--window-ms", type=float, metavar="MS", help="length of a window (default: the profile's)")
+    add(
+        "--stride-ms",
+        type=float,
+        metavar="MS",
+        help="from one window's start to the next one's (default: the window's length)",
+    )
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="overrides",
+        help="any option by its dotted name, for example estimator.max_events=20000; repeatable",
+    )
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the results (default: out/<name of INPUT>)",
+    )
+    add("--save-flow", action="store_true", help="store the dense flow of each window, too")
+    return parser.parse_args(arguments)
+
+
+def _run(options: argparse.Namespace) -> int:
+    config = load_config(options.profile, _overrides(options))
+    folder = options.out or Path("out") / options.input.resolve().stem
+    with open_recording(options.input, topic=options.topic, calibration=options.calib) as recording:
+        camera = require_camera(recording)
+        truth = load_truth(recording, options.gt)
+        _make_folder(folder)
+        # Loads torch and numba, which --help and bad input need not wait for.
+        from emoflow_ros.core.factory import make_estimator
+
+        with EstimatesWriter(
+            folder / "estimates.h5",
+            camera=camera,
+            source=str(options.input),
+            configuration=config.flat(),
+            save_flow=options.save_flow,
+        ) as writer:
+            run = evaluate(
+                recording,
+                make_estimator(camera, config),
+                WindowSlicer(config.window),
+                truth,
+                writer=writer,
+                progress=True,
+            )
+    if not run.windows:  # interrupted before the first one was done
+        raise KeyboardInterrupt
+    report, _ = write_report(run, config.flat(), folder)
+    _print_summary(run, report)
+    if run.interrupted:
+        return cli.EXIT_INTERRUPTED
+    return 0 if any(w.ok for w in run.windows) else _EXIT_NOTHING_ESTIMATED
+
+
+def _overrides(options: argparse.Namespace) -> dict[str, Any]:
+    """Collect option values by dotted name; --set counts after the shorthands."""
+    values: dict[str, Any] = {}
+    if options.window_ms is not None:
+        values["window.duration_ms"] = options.window_ms
+    if options.stride_ms is not None:
+        values["window.stride_ms"] = options.stride_ms
+    for text in options.overrides:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InputError(f"--set {text}", "not of the form NAME=VALUE", "write name=value")
+        try:
+            values[name] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise InputError(f"--set {text}", "not a value", "write a number or a word") from None
+    return values
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(folder, f"cannot be made ({reason})", "give another --out") from None
+
+
+def _print_summary(run: Evaluation, report: Path) -> None:
+    ok = sum(w.ok for w in run.windows)
+    print(f"{ok} of {len(run.windows)} windows estimated")
+    for m in summarise(run.windows):
+        interval = f"  [{m.low:.2f}, {m.high:.2f}]" if m.low == m.low else ""
+        print(f"  {m.label:<34} {m.value:9.2f} {m.unit:<6}{interval}")
+    print(report)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,174 @@
+"""The charts of the report: one function draws one figure."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.offline.results import WindowResult
+
+ESTIMATE = "#1f5fa8"
+TRUTH = "#222222"
+_GRID = "#e4e4e4"
+_AXES = "xyz"
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "axes.edgecolor": "#666666",
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": _GRID,
+    "grid.linewidth": 0.7,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "svg.hashsalt": "emoflow_ros",
+}
+style = mpl.rc_context(_STYLE)  # decorates every function that draws
+
+Array = NDArray[np.float64]
+
+
+@style
+def twist_over_time(windows: Sequence[WindowResult]) -> Figure:
+    """Angular velocity and direction of linear velocity, each axis against its truth."""
+    figure = Figure(figsize=(10, 5.4), layout="constrained")
+    axes = figure.subplots(3, 2, sharex=True, sharey="col")
+    t = middle_times(windows)
+    true = [w.truth.angular if w.truth else np.full(3, np.nan) for w in windows]
+    sigma = np.array([w.sigma for w in windows])
+    _components(
+        axes[:, 0],
+        t,
+        np.degrees([w.angular for w in windows]),
+        np.degrees(sigma[:, 3:]),
+        np.degrees(true),
+        "ω",
+        "deg/s",
+    )
+    directions = np.array([w.true_direction for w in windows])
+    _components(
+        axes[:, 1], t, np.array([w.linear for w in windows]), sigma[:, :3], directions, "v", "1"
+    )
+    axes[0, 0].set_title("Angular velocity", loc="left", fontweight="bold")
+    axes[0, 1].set_title("Direction of linear velocity (unit)", loc="left", fontweight="bold")
+    axes[0, 1].set_ylim(-1.15, 1.15)
+    if not any(np.isfinite(w.linear).all() for w in windows):
+        _say(axes[1, 1], "translation not observable in any window")
+    for bottom in axes[2]:
+        bottom.set_xlabel("time since the first window, s")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+@style
+def errors_over_time(windows: Sequence[WindowResult]) -> Figure | None:
+    """Errors per window; None where nothing has a truth."""
+    rows = [row for row in error_series(windows) if np.isfinite(row[2]).any()]
+    if not rows:
+        return None
+    figure = Figure(figsize=(10, 1.5 * len(rows) + 0.5), layout="constrained")
+    axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    t = middle_times(windows)
+    for ax, (name, unit, values) in zip(axes, rows, strict=True):
+        ax.plot(t, values, color=ESTIMATE, **_line(values))
+        middle = float(np.nanmedian(values))
+        ax.axhline(middle, color="#c0392b", linewidth=0.9, linestyle=(0, (4, 3)))
+        ax.set_title(f"{name} (median {middle:.3g} {unit})", loc="left")
+        ax.set_ylabel(unit)
+        ax.set_ylim(0, None)
+    axes[-1].set_xlabel("time since the first window, s")
+    return figure
+
+
+@style
+def error_histograms(windows: Sequence[WindowResult]) -> Figure | None:
+    """How the errors spread over the windows; None with fewer than three windows."""
+    rows = [row for row in error_series(windows) if np.isfinite(row[2]).sum() > 2]
+    if not rows:
+        return None
+    figure = Figure(figsize=(10, 2.4), layout="constrained")
+    axes = figure.subplots(1, len(rows), squeeze=False)[0]
+    for ax, (name, unit, values) in zip(axes, rows, strict=True):
+        known = values[np.isfinite(values)]
+        ax.hist(known, bins=min(30, max(6, len(known) // 3)), color=ESTIMATE, edgecolor="white")
+        ax.set_xlim(0, None)
+        ax.set_title(name, loc="left")
+        ax.set_xlabel(unit)
+        ax.yaxis.get_major_locator().set_params(integer=True)
+    axes[0].set_ylabel("windows")
+    return figure
+
+
+def error_series(windows: Sequence[WindowResult]) -> list[tuple[str, str, Array]]:
+    """List the errors per window: (name, unit, values with NaN where unknown)."""
+    epe = np.array([w.flow.epe_px if w.flow else np.nan for w in windows])
+    rate = np.degrees([np.linalg.norm(w.angular_error) for w in windows])
+    direction = np.array([w.direction_error_deg for w in windows])
+    return [
+        ("Flow EPE", "px", epe),
+        ("|error of ω|", "deg/s", rate),
+        ("Direction error of v", "deg", direction),
+    ]
+
+
+def middle_times(windows: Sequence[WindowResult]) -> Array:
+    """Middle of every window in s since the start of the first one."""
+    middles = np.array([(w.t_start + w.t_end) / 2 for w in windows])
+    return np.asarray((middles - windows[0].t_start) / NS_PER_S)
+
+
+def _components(
+    axes: Sequence[Axes],
+    t: Array,
+    values: Array,
+    sigma: Array,
+    true: Array,
+    symbol: str,
+    unit: str,
+) -> None:
+    for i, ax in enumerate(axes):
+        if np.isfinite(sigma[:, i]).any():
+            low, high = values[:, i] - 2 * sigma[:, i], values[:, i] + 2 * sigma[:, i]
+            ax.fill_between(
+                t,
+                low,
+                high,
+                color=ESTIMATE,
+                alpha=0.18,
+                linewidth=0,
+                label="estimate ± 2 standard deviations",
+            )
+        if np.isfinite(true[:, i]).any():
+            ax.plot(t, true[:, i], color=TRUTH, label="ground truth", **_line(true[:, i], "s", 4.5))
+        ax.plot(t, values[:, i], color=ESTIMATE, label="estimate", **_line(values[:, i]))
+        ax.set_ylabel(f"{symbol}$_{_AXES[i]}$, {unit}" if unit != "1" else f"{symbol}$_{_AXES[i]}$")
+        ax.axhline(0, color="#999999", linewidth=0.6, zorder=0)
+
+
+def _line(values: Array, marker: str = "o", size: float = 3.0) -> dict[str, Any]:
+    """Lines for long series, with markers where single windows would not show."""
+    many = len(values) > 60
+    return {
+        "linewidth": 1.2,
+        "marker": None if many else marker,
+        "markersize": size,
+        "markerfacecolor": "none" if marker == "s" else None,
+    }
+
+
+def _say(ax: Axes, text: str) -> None:
+    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color="#777777")

@@ -1,0 +1,100 @@
+"""The pictures of one window: flow, truth, error and events before and after the warp."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import FlowSampler
+from emoflow_ros.offline.figures import style
+from emoflow_ros.offline.flow_color import color_wheel, flow_to_rgb
+from emoflow_ros.offline.gallery import Example
+from emoflow_ros.offline.iwe import event_image, warped_image
+from emoflow_ros.offline.metrics import end_point_error
+from emoflow_ros.offline.truth import TrueFlow, Truth
+
+_UNKNOWN = "#dddddd"
+
+
+@style
+def window_panels(example: Example, camera: Camera, truth: Truth) -> Figure:
+    """Draw one window: flow and (where known) truth and error above, events below."""
+    window = example.window
+    flow = example.estimate.flow
+    assert flow is not None, "the gallery holds windows with a flow only"
+    estimated = flow.displacement(window.t_start, window.t_end).astype(np.float64)
+    true = truth.flows.displacement(window.t_start, window.t_end) if truth.flows else None
+    longest = _longest(estimated, true)
+    aspect = camera.height / camera.width
+    figure = Figure(figsize=(10, 6.6 * aspect + 0.9), layout="constrained")
+    axes = figure.subplots(2, 3)
+    for ax in axes.flat:
+        ax.axis("off")
+
+    _show(axes[0, 0], flow_to_rgb(estimated, longest), "Estimated flow")
+    if true is not None:
+        known = np.where(true.valid[..., None], true.displacement, np.nan)
+        _show(axes[0, 1], flow_to_rgb(known, longest), "True flow (black: unknown)")
+        _error_map(figure, axes[0, 2], end_point_error(estimated, known))
+    _events(axes, example, flow, camera)
+    _wheel(axes[1, 2], longest)
+    return figure
+
+
+def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
+    """Length of full colour: the 99th percentile of what the picture is judged by."""
+    if true is not None and true.valid.any():
+        judged = true.displacement[true.valid].astype(np.float64)
+    else:
+        judged = estimated[np.isfinite(estimated).all(axis=-1)]
+    lengths = np.linalg.norm(judged, axis=-1)
+    return max(float(np.percentile(lengths, 99)), 1e-3) if lengths.size else 1.0
+
+
+def _error_map(figure: Figure, ax: Axes, error: NDArray[np.floating]) -> None:
+    known = error[np.isfinite(error)]
+    limit = max(3.0, float(np.percentile(known, 95))) if known.size else 3.0
+    ax.axis("on")
+    ax.set(xticks=[], yticks=[], facecolor=_UNKNOWN)
+    ax.grid(visible=False)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    image = ax.imshow(error, cmap="magma_r", vmin=0, vmax=limit, interpolation="nearest")
+    bar = figure.colorbar(image, ax=ax, shrink=0.85, pad=0.02, extend="max")
+    bar.set_label("end-point error, px")
+    bar.outline.set_visible(False)
+    ax.set_title("Error (grey: truth unknown)", loc="left")
+
+
+def _events(axes: NDArray[np.object_], example: Example, flow: FlowSampler, camera: Camera) -> None:
+    """Both images on one grey scale, so that sharpness can be compared."""
+    size = camera.width, camera.height
+    before = event_image(example.window.events, *size)
+    after = warped_image(example.window, flow, *size)
+    limit = float(np.percentile(after[after > 0], 99.5)) if (after > 0).any() else 1.0
+    for ax, image, title in (
+        (axes[1, 0], before, "Events before the warp"),
+        (axes[1, 1], after, "Events warped to the middle of the window"),
+    ):
+        _show(ax, image, title, cmap="gray_r", vmin=0, vmax=limit)
+
+
+def _wheel(ax: Axes, longest: float) -> None:
+    """Legend: direction and length of the flow colours."""
+    inset = ax.inset_axes((0.18, 0.12, 0.64, 0.72))
+    inset.imshow(color_wheel(201), extent=(-longest, longest, longest, -longest))
+    inset.set_aspect("equal")
+    inset.set_title("Flow colours", loc="center")
+    inset.set_xlabel("u (right), px")
+    inset.set_ylabel("v (down), px")
+    inset.grid(visible=False)
+    for spine in inset.spines.values():
+        spine.set_visible(False)
+
+
+def _show(ax: Axes, image: NDArray[np.generic], title: str, **options: Any) -> None:
+    ax.imshow(image, interpolation="nearest", **options)
+    ax.set_title(title, loc="left")

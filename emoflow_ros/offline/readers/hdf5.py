@@ -1,0 +1,47 @@
+"""What the readers of HDF5 data sets share."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import h5py
+import hdf5plugin  # noqa: F401  registers the compressions that data sets use
+
+from emoflow_ros.errors import InputError
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+CHUNK = 1_000_000  # events
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether the path is a file that starts like HDF5."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_SIGNATURE)) == _SIGNATURE
+
+
+def open_hdf5(path: Path) -> h5py.File:
+    """Open a file for reading.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        refuse(path, error)
+
+
+def holds(path: Path, names: Sequence[str]) -> bool:
+    """Whether the path is an HDF5 file with data sets of these names."""
+    if not is_hdf5(path):
+        return False
+    with open_hdf5(path) as file:
+        return all(isinstance(file.get(name), h5py.Dataset) for name in names)
+
+
+def refuse(path: Path, error: Exception) -> NoReturn:
+    """Raise the InputError of a file that cannot be read."""
+    reason = " ".join(str(error).split())
+    raise InputError(path, f"damaged HDF5 file ({reason})", "copy it again") from None

@@ -1,0 +1,88 @@
+"""Reader of NumPy archives with the arrays x, y, t and p of equal length.
+
+`t_s`, `t_us` and `t_ns` name their unit. A plain `t` holds seconds if it is of a floating-point
+type; integers are microseconds, unless they reach 1e17 or span more than an hour as such: then
+they are nanoseconds. `width` and `height` may give the sensor's size.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.file_recording import FileRecording
+
+_UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
+_EPOCH_NS = 10**17
+_HOUR_US = 3_600_000_000
+_LAYOUT = "save x, y, t (or t_s, t_us, t_ns) and p of equal length"
+
+
+class NpzRecording(FileRecording):
+    """An `.npz` file."""
+
+    FORMAT = "a NumPy archive (.npz with x, y, t, p)"
+
+    def __init__(
+        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+    ) -> None:
+        super().__init__(path, topic=topic, calibration=calibration)
+        arrays = _load(path)
+        t_name = next((name for name in ("t", *_UNITS_NS) if name in arrays), "t")
+        missing = [name for name in ("x", "y", t_name, "p") if name not in arrays]
+        if missing:
+            raise InputError(path, f"no array {', '.join(missing)}", _LAYOUT)
+        x, y, t, p = (arrays[name] for name in ("x", "y", t_name, "p"))
+        if x.ndim != 1 or len({a.shape for a in (x, y, t, p)}) != 1:
+            raise InputError(path, "arrays of different shapes", _LAYOUT)
+        if any(a.dtype.kind not in "biuf" or not np.isfinite(a).all() for a in (x, y, t, p)):
+            raise InputError(path, "values that are not finite numbers", _LAYOUT)
+        self._events = Events(_pixels(x), _pixels(y), _to_ns(t_name, t), p > 0)
+        self.size = int(arrays.get("width", 0)), int(arrays.get("height", 0))
+        if len(x):
+            self.duration = float(self._events.t[-1] - self._events.t[0]) / NS_PER_S
+
+    @staticmethod
+    def matches(path: Path) -> bool:
+        """Whether the path is a file of this format."""
+        return path.suffix == ".npz" and path.is_file()
+
+    def event_chunks(self) -> Iterator[Events]:
+        """Yield all events at once: the archive is in memory."""
+        return self.checked([self._events])
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path) as archive:
+            return dict(archive)
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(path, f"not a NumPy archive ({error})", "copy it again") from None
+
+
+def _pixels(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
+    largest = np.iinfo(np.uint16).max
+    fits = (values >= 0) & (values < largest)
+    return np.where(fits, values, largest).astype(np.uint16)
+
+
+def _to_ns(name: str, t: NDArray[Any]) -> NDArray[np.int64]:
+    unit = _UNITS_NS.get(name) or _guess_unit(t)
+    if t.dtype.kind == "f":
+        return np.rint(t.astype(np.float64) * unit).astype(np.int64)
+    return t.astype(np.int64) * unit
+
+
+def _guess_unit(t: NDArray[Any]) -> int:
+    if t.dtype.kind == "f":
+        return NS_PER_S
+    if len(t) and (int(t[-1]) >= _EPOCH_NS or int(t[-1]) - int(t[0]) > _HOUR_US):
+        return 1
+    return 1_000

@@ -1,0 +1,228 @@
+"""Write an evaluation's results: report.json, windows.csv and one self-contained report.html."""
+
+import base64
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.offline import figures
+from emoflow_ros.offline.evaluation import Evaluation
+from emoflow_ros.offline.panels import window_panels
+from emoflow_ros.offline.provenance import machine, versions
+from emoflow_ros.offline.results import MIN_TRUE_RATE, MIN_TRUE_SPEED, WindowResult
+from emoflow_ros.offline.summary import Measure, summarise
+
+_TEMPLATE = "report.html.j2"
+_MAX_TABLE_ROWS = 400
+
+DEFINITIONS = (
+    "Flow errors compare the displacement over the window at pixels that hold an event of the "
+    "window and whose truth is finite with |u| > 0 and |v| > 0; they are averaged over the "
+    "pixels of a window first and over windows second.",
+    "Angular flow error is the angle between (u, v, 1) and the true (u, v, 1), in pixels over "
+    "the window.",
+    "RMS is the root of the mean square over windows and the three axes.",
+    f"The axis of ω is compared where the true |ω| exceeds {np.degrees(MIN_TRUE_RATE):.0f} deg/s, "
+    f"the direction of v where the true speed exceeds {MIN_TRUE_SPEED} m/s. The direction error "
+    "keeps the sign: opposite directions are 180 degrees apart. Nothing is taken from the truth.",
+    "Intervals are 95 % percentile bootstrap intervals over windows.",
+)
+
+
+def write_report(
+    run: Evaluation, configuration: Mapping[str, Any], folder: Path
+) -> tuple[Path, Path]:
+    """Write report.json, windows.csv and report.html into an existing folder.
+
+    Args:
+        run: with at least one window.
+        configuration: option values by dotted name.
+        folder: where to.
+
+    Returns:
+        The paths of report.html and report.json.
+    """
+    measures = summarise(run.windows)
+    rows = [window_row(w) for w in run.windows]
+    facts = _facts(run)
+    document = {
+        **facts,
+        "configuration": dict(configuration),
+        "definitions": DEFINITIONS,
+        "summary": {m.key: _measure_entry(m) for m in measures},
+        "windows": rows,
+    }
+    json_path, html_path = folder / "report.json", folder / "report.html"
+    text = json.dumps(_without_nan(document), indent=1, ensure_ascii=False)
+    json_path.write_text(text, encoding="utf-8")
+    _write_csv(folder / "windows.csv", rows)
+    html_path.write_text(_html(run, measures, facts, configuration), encoding="utf-8")
+    return html_path, json_path
+
+
+def window_row(window: WindowResult) -> dict[str, Any]:
+    """One window as flat values with their units in the names; None where unknown."""
+    row: dict[str, Any] = {
+        "index": window.index,
+        "t_start_s": window.t_start / NS_PER_S,
+        "t_end_s": window.t_end / NS_PER_S,
+        "events": window.events,
+        "status": window.status,
+        "model": window.model,
+        **_axes("angular_{}_rad_s", window.angular),
+        **_axes("linear_{}", window.linear),
+        **_axes("sigma_linear_{}", window.sigma[:3]),
+        **_axes("sigma_angular_{}_rad_s", window.sigma[3:]),
+    }
+    nothing = np.full(3, np.nan)
+    true_linear = window.truth.linear if window.truth else None
+    row |= _axes("true_angular_{}_rad_s", window.truth.angular if window.truth else nothing)
+    row |= _axes("true_linear_{}_m_s", nothing if true_linear is None else true_linear)
+    row |= {
+        "angular_error_deg_s": float(np.degrees(np.linalg.norm(window.angular_error))),
+        "axis_error_deg": window.axis_error_deg,
+        "rate_ratio": window.rate_ratio,
+        "direction_error_deg": window.direction_error_deg,
+        "epe_px": window.flow.epe_px if window.flow else None,
+        "out_percent": window.flow.pe3 if window.flow else None,
+        "ae_deg": window.flow.ae_deg if window.flow else None,
+        "true_displacement_px": window.flow.truth_px if window.flow else None,
+        "compared_pixels": window.flow.pixels if window.flow else None,
+        "contrast_gain": window.quality.contrast_gain,
+        "residual_px": window.quality.residual_px,
+        "inlier_fraction": window.quality.inlier_fraction,
+        "iterations": window.quality.iterations,
+        "stop_reason": window.quality.stop_reason,
+        "warm": window.quality.warm,
+        "runtime_s": window.quality.runtime_s,
+        "note": window.note,
+    }
+    return {name: _without_nan(value) for name, value in row.items()}
+
+
+def _facts(run: Evaluation) -> dict[str, Any]:
+    first, last = run.windows[0], run.windows[-1]
+    camera = run.camera
+    return {
+        "source": str(run.source),
+        "topic": run.topic,
+        "camera": f"{camera.width}x{camera.height}, {camera.model}, fx {camera.fx:.2f}, "
+        f"fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} px",
+        "truth": run.truth.description,
+        "interrupted": run.interrupted,
+        "windows_total": len(run.windows),
+        "windows_ok": sum(w.ok for w in run.windows),
+        "windows_with_exception": sum(bool(w.note) for w in run.windows),
+        "events": sum(w.events for w in run.windows),
+        "recorded_s": (last.t_end - first.t_start) / NS_PER_S,
+        "versions": versions(),
+        "machine": machine(),
+    }
+
+
+def _html(
+    run: Evaluation,
+    measures: Sequence[Measure],
+    facts: Mapping[str, Any],
+    configuration: Mapping[str, Any],
+) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(_template), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters |= {"number": format_number, "degrees": math.degrees}
+    charts = [
+        ("Egomotion over time", _svg(figures.twist_over_time(run.windows))),
+        ("Errors over time", _svg(figures.errors_over_time(run.windows))),
+        ("Distribution of the errors over windows", _svg(figures.error_histograms(run.windows))),
+    ]
+    examples = [
+        (example, _png(window_panels(example, run.camera, run.truth)))
+        for example in run.gallery.examples()
+    ]
+    return environment.get_template(_TEMPLATE).render(
+        name=run.source.name,
+        facts=facts,
+        measures=measures,
+        charts=[(title, data) for title, data in charts if data],
+        examples=examples,
+        windows=_table(run.windows),
+        windows_left_out=max(0, len(run.windows) - _MAX_TABLE_ROWS),
+        start=run.windows[0].t_start,
+        ns_per_s=NS_PER_S,
+        definitions=DEFINITIONS,
+        configuration=configuration,
+    )
+
+
+def _table(windows: Sequence[WindowResult]) -> list[WindowResult]:
+    """The rows that are shown: an even selection of a long run."""
+    step = math.ceil(len(windows) / _MAX_TABLE_ROWS)
+    return list(windows[::step])
+
+
+def _template(name: str) -> str:
+    path = resources.files("emoflow_ros.offline").joinpath("templates", name)
+    return path.read_text(encoding="utf-8")
+
+
+def format_number(value: float | None, digits: int = 2) -> str:
+    """Format with a fixed number of digits; a dash where there is no value."""
+    if value is None or not math.isfinite(value):
+        return "\N{EN DASH}"
+    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _svg(figure: Figure | None) -> str | None:
+    if figure is None:
+        return None
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _png(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=130)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _measure_entry(measure: Measure) -> dict[str, Any]:
+    return {
+        "label": measure.label,
+        "value": measure.value,
+        "unit": measure.unit,
+        "interval_95": [measure.low, measure.high],
+        "windows": measure.windows,
+    }
+
+
+def _axes(name: str, values: np.ndarray) -> dict[str, float]:
+    return {name.format(axis): float(v) for axis, v in zip("xyz", values, strict=True)}
+
+
+def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, fieldnames=list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _without_nan(value: Any) -> Any:
+    """Replace what JSON has no word for by None, at any depth."""
+    if isinstance(value, Mapping):
+        return {name: _without_nan(v) for name, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

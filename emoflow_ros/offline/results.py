@@ -1,0 +1,141 @@
+"""What an evaluation knows about one window: the estimate, the truth and their difference."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.estimate import Estimate, Quality, Status
+from emoflow_ros.core.windows import Window
+from emoflow_ros.offline.metrics import (
+    FlowErrors,
+    Mask,
+    angle_deg,
+    event_mask,
+    flow_errors,
+    known_flow_mask,
+)
+from emoflow_ros.offline.truth import TrueFlow, TrueTwist, Truth
+
+Vector = NDArray[np.float64]
+
+# Below these the direction of a true velocity says nothing.
+MIN_TRUE_SPEED = 0.05  # m/s
+MIN_TRUE_RATE = np.radians(5.0)  # rad/s
+
+
+@dataclass(frozen=True)
+class WindowResult:
+    """One window of an evaluation.
+
+    Attributes:
+        index: position in the evaluation.
+        t_start, t_end: the window, ns.
+        events: events in the window.
+        status: a Status value.
+        model: a MotionModel value.
+        linear: (3,) unit direction; NaN where not observable.
+        angular: (3,) rad/s; NaN where there is no estimate.
+        sigma: (6,) standard deviations of (linear, angular); NaN where unknown.
+        truth: the true velocity at the window's middle, where known.
+        flow: errors of the displacement over the window, where the truth is known.
+        quality: the estimator's own record.
+        note: the exception, where the estimator raised one.
+    """
+
+    index: int
+    t_start: int
+    t_end: int
+    events: int
+    status: str
+    model: str
+    linear: Vector
+    angular: Vector
+    sigma: Vector
+    truth: TrueTwist | None
+    flow: FlowErrors | None
+    quality: Quality
+    note: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is an estimate."""
+        return self.status == Status.OK
+
+    @property
+    def angular_error(self) -> Vector:
+        """Estimated minus true angular velocity, (3,) rad/s; NaN where one is missing."""
+        return self.angular - self.truth.angular if self.truth else np.full(3, np.nan)
+
+    @property
+    def axis_error_deg(self) -> float:
+        """Angle between the axes of rotation; NaN below MIN_TRUE_RATE."""
+        if self.truth is None or np.linalg.norm(self.truth.angular) < MIN_TRUE_RATE:
+            return float("nan")
+        return float(angle_deg(self.angular, self.truth.angular))
+
+    @property
+    def rate_ratio(self) -> float:
+        """Estimated over true magnitude of angular velocity; NaN below MIN_TRUE_RATE."""
+        if self.truth is None or np.linalg.norm(self.truth.angular) < MIN_TRUE_RATE:
+            return float("nan")
+        return float(np.linalg.norm(self.angular) / np.linalg.norm(self.truth.angular))
+
+    @property
+    def true_direction(self) -> Vector:
+        """Unit direction of the true velocity, (3,); NaN where unknown or too slow."""
+        linear = self.truth.linear if self.truth else None
+        if linear is None or (speed := np.linalg.norm(linear)) < MIN_TRUE_SPEED:
+            return np.full(3, np.nan)
+        return np.asarray(linear / speed)
+
+    @property
+    def direction_error_deg(self) -> float:
+        """Angle between the directions of linear velocity, sign included (0 to 180)."""
+        return float(angle_deg(self.linear, self.true_direction))
+
+
+def assess(
+    index: int, window: Window, estimate: Estimate, truth: Truth, note: str = ""
+) -> WindowResult:
+    """Compare one window's estimate with the truth.
+
+    The displacement over the window is compared at the pixels that hold an event of the window
+    and whose truth is known (finite, |u| > 0 and |v| > 0).
+    """
+    ok = estimate.status is Status.OK
+    observable = estimate.translation_observable
+    variance = np.diag(estimate.covariance).astype(np.float64)
+    known = ok & (variance >= 0) & ((np.arange(6) >= 3) | observable)
+    return WindowResult(
+        index=index,
+        t_start=window.t_start,
+        t_end=window.t_end,
+        events=len(window.events),
+        status=str(estimate.status),
+        model=str(estimate.model),
+        linear=np.where(observable, estimate.linear, np.nan),
+        angular=np.where(ok, estimate.angular, np.nan),
+        sigma=np.sqrt(np.where(known, variance, np.nan)),
+        truth=truth.twists.twist(estimate.t) if truth.twists else None,
+        flow=_compare_flow(window, estimate, truth),
+        quality=estimate.quality,
+        note=note,
+    )
+
+
+def comparison_mask(window: Window, true_flow: TrueFlow) -> Mask:
+    """Mark the pixels (H, W) that are compared."""
+    height, width = true_flow.valid.shape
+    has_events = event_mask(window.events, width, height)
+    return has_events & true_flow.valid & known_flow_mask(true_flow.displacement)
+
+
+def _compare_flow(window: Window, estimate: Estimate, truth: Truth) -> FlowErrors | None:
+    if estimate.flow is None or truth.flows is None:
+        return None
+    true_flow = truth.flows.displacement(window.t_start, window.t_end)
+    if true_flow is None:
+        return None
+    flow = estimate.flow.displacement(window.t_start, window.t_end)
+    return flow_errors(flow, true_flow.displacement, comparison_mask(window, true_flow))
