@@ -5,7 +5,7 @@ file per encoding of event_camera_msgs/EventPacket; a new one is one new file th
 """
 
 from msg_adapters.message import Decoder, EventMessage, Statistics
-from msg_adapters.registry import make_decoder, supported_types
+from msg_adapters.registry import make_decoder, make_packet_decoder, supported_types
 from msg_adapters.wire import DecodeError
 
 __all__ = [
@@ -14,5 +14,6 @@ __all__ = [
     "EventMessage",
     "Statistics",
     "make_decoder",
+    "make_packet_decoder",
     "supported_types",
 ]

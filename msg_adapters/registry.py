@@ -1,11 +1,13 @@
-"""Finds the decoder of a ROS type."""
+"""Finds the decoder of a ROS type, and of an EventPacket's encoding."""
 
 from collections.abc import Callable
 from functools import cache
 
+import msg_adapters.encodings
 import msg_adapters.formats
 from msg_adapters.discovery import modules_of
-from msg_adapters.message import Decoder
+from msg_adapters.message import Decoder, Statistics
+from msg_adapters.packet import PacketDecoder
 from msg_adapters.wire import DecodeError, Serialization
 
 type Factory = Callable[[Serialization], Decoder]
@@ -34,6 +36,28 @@ def make_decoder(ros_type: str, serialization: Serialization) -> Decoder:
 def supported_types() -> tuple[str, ...]:
     """ROS types with a decoder, in the form `package/msg/Name`."""
     return tuple(sorted(_factories()))
+
+
+def make_packet_decoder(encoding: str, statistics: Statistics) -> PacketDecoder:
+    """Make the decoder for the payloads of one stream of packets.
+
+    Args:
+        encoding: as EventPacket names it, for example `evt3`.
+        statistics: what to count in.
+
+    Raises:
+        DecodeError: an unknown encoding (names those that exist).
+    """
+    if encoding not in packet_decoders():
+        known = ", ".join(sorted(packet_decoders()))
+        raise DecodeError(f"unknown encoding '{encoding}': known are {known}")
+    return packet_decoders()[encoding](statistics)
+
+
+@cache
+def packet_decoders() -> dict[str, type[PacketDecoder]]:
+    """Collect ENCODING and DECODER of every module in `encodings/`, which compiles them."""
+    return {module.ENCODING: module.DECODER for module in modules_of(msg_adapters.encodings)}
 
 
 @cache

@@ -4,12 +4,9 @@ Fields: Header header, uint32 height, uint32 width, uint64 seq, uint64 time_base
 encoding, bool is_bigendian, uint8[] events.
 """
 
-from functools import cache
-
-import msg_adapters.encodings
-from msg_adapters.discovery import modules_of
 from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
 from msg_adapters.packet import PacketDecoder
+from msg_adapters.registry import make_packet_decoder, packet_decoders
 from msg_adapters.wire import Cursor, DecodeError, Serialization
 
 TYPES = ("event_camera_msgs/msg/EventPacket",)
@@ -23,7 +20,7 @@ class EventPacketDecoder:
     def __init__(self, serialization: Serialization) -> None:
         self.statistics = Statistics()
         self._serialization = serialization
-        self._encodings = _encodings()
+        packet_decoders()  # compiled now, not in the first message
         self._packets: PacketDecoder | None = None
         self._seq: int | None = None
 
@@ -53,10 +50,7 @@ class EventPacketDecoder:
     def _packets_of(self, encoding: str) -> PacketDecoder:
         """Return the decoder of the encoding: the one at work unless the encoding changed."""
         if self._packets is None or encoding != self.statistics.encoding:
-            if encoding not in self._encodings:
-                known = ", ".join(sorted(self._encodings))
-                raise DecodeError(f"unknown encoding '{encoding}': known are {known}")
-            self._packets = self._encodings[encoding](self.statistics)
+            self._packets = make_packet_decoder(encoding, self.statistics)
             self.statistics.encoding = encoding
         return self._packets
 
@@ -71,9 +65,3 @@ class EventPacketDecoder:
 
 
 DECODER = EventPacketDecoder
-
-
-@cache
-def _encodings() -> dict[str, type[PacketDecoder]]:
-    """Collect ENCODING and DECODER of every module in `encodings/`."""
-    return {module.ENCODING: module.DECODER for module in modules_of(msg_adapters.encodings)}

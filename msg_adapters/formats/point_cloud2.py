@@ -23,6 +23,7 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 _TIME_NAMES = ("t", "ts", "time", "timestamp", "t_s", "t_us", "t_ns")
 _POLARITY_NAMES = ("p", "polarity", "pol")
 _COORDINATE_LIMIT = 1 << 16
+_MAX_POINT_STEP = 1 << 16
 _MIN_FIELD_SIZE = 13  # bytes of an unnamed PointField, at least
 
 
@@ -91,6 +92,8 @@ def _read_fields(cursor: Cursor) -> list[_Field]:
 
 def _point_dtype(fields: list[_Field], order: str, point_step: int) -> tuple[np.dtype, str]:
     """Build the dtype (x, y, t, p) of a point, and return the time field's own name."""
+    if point_step > _MAX_POINT_STEP:
+        raise DecodeError(f"points of {point_step} bytes are no events")
     by_name: dict[str, _Field] = {}
     for field in fields:
         by_name.setdefault(field.name.lower(), field)

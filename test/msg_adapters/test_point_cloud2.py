@@ -175,6 +175,7 @@ def test_times_beyond_64_bits_are_refused():
         ({"height": 2, "row_step": 0}, "do not fit"),
         ({"point_step": 0}, "outside the point"),
         ({"point_step": 12}, "outside the point"),
+        ({"point_step": (1 << 32) - 1, "width": 0}, "points of 4294967295 bytes"),
     ],
 )
 def test_layouts_that_do_not_fit_the_data(change, reason):

@@ -3,9 +3,14 @@
 from pathlib import Path
 
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.aedat4 import Aedat4Recording
 from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.readers.base import Recording, require_camera
+from emoflow_ros.offline.readers.dsec import DsecRecording
 from emoflow_ros.offline.readers.ecd import EcdRecording
+from emoflow_ros.offline.readers.mvsec import MvsecRecording
+from emoflow_ros.offline.readers.npz import NpzRecording
+from emoflow_ros.offline.readers.prophesee_raw import PropheseeRawRecording
 
 __all__ = ["READERS", "Recording", "open_recording", "require_camera"]
 
@@ -13,6 +18,11 @@ __all__ = ["READERS", "Recording", "open_recording", "require_camera"]
 READERS = (
     BagRecording,
     EcdRecording,
+    PropheseeRawRecording,
+    Aedat4Recording,
+    MvsecRecording,
+    DsecRecording,
+    NpzRecording,
 )
 
 

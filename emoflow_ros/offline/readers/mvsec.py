@@ -1,0 +1,62 @@
+"""Reader of MVSEC's HDF5 data files (Zhu et al., RA-L 2018).
+
+`davis/left/events` and `davis/right/events` are tables (N, 4) of x, y, t in seconds and p = +-1.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.file_recording import FileRecording
+from emoflow_ros.offline.readers.hdf5 import CHUNK, holds, open_hdf5, refuse
+
+_LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
+_TOPICS = (_LEFT, "davis/right/events")
+_SIZE = (346, 260)
+_X, _Y, _T, _P = range(4)
+
+
+class MvsecRecording(FileRecording):
+    """An MVSEC `*_data.hdf5`; its topic is the table, the left camera's by default."""
+
+    FORMAT = "an MVSEC data file (HDF5)"
+
+    def __init__(
+        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+    ) -> None:
+        super().__init__(path, calibration=calibration)
+        self.size = _SIZE
+        self.topic = topic or _LEFT
+        if self.topic not in _TOPICS or not holds(path, [self.topic]):
+            raise InputError(path, f"no event table '{topic}'", f"give one of {', '.join(_TOPICS)}")
+        self._table = self.stack.enter_context(open_hdf5(path))[self.topic]
+        if self._table.ndim != 2 or self._table.shape[1] != 4:
+            self.stack.close()
+            raise InputError(
+                path, f"an event table of shape {self._table.shape}", "a row is 'x y t p'"
+            )
+        if len(self._table):
+            self.duration = float(self._table[-1, _T] - self._table[0, _T])
+
+    @staticmethod
+    def matches(path: Path) -> bool:
+        """Whether the path is a file of this format."""
+        return holds(path, [_LEFT])
+
+    def event_chunks(self) -> Iterator[Events]:
+        """Stream the events, a million at a time."""
+        return self.checked(self._read())
+
+    def _read(self) -> Iterator[Events]:
+        for first in range(0, len(self._table), CHUNK):
+            try:
+                rows = self._table[first : first + CHUNK]
+            except OSError as error:
+                refuse(self.path, error)
+            t = np.rint(rows[:, _T] * NS_PER_S).astype(np.int64)
+            x, y = rows[:, _X].astype(np.uint16), rows[:, _Y].astype(np.uint16)
+            yield Events(x, y, t, rows[:, _P] > 0)
