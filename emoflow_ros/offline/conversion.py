@@ -32,7 +32,7 @@ class Ros1Converter:
                 continue  # `to_cdr` says so, if the topic is wanted
             self._store.register({k: v for k, v in types.items() if k not in self._store.fielddefs})
 
-    def to_cdr(self, data: bytes, msgtype: str) -> bytes | memoryview:
+    def to_cdr(self, data: bytes, msgtype: str) -> bytes:
         """Convert one message.
 
         Raises:
@@ -41,7 +41,7 @@ class Ros1Converter:
         try:
             if msgtype in _EVENT_ARRAYS:
                 return self._event_array(data, msgtype)
-            return self._store.ros1_to_cdr(data, msgtype)
+            return bytes(self._store.ros1_to_cdr(data, msgtype))
         except (SerdeError, TypesysError, KeyError, ValueError, struct.error) as error:
             reason = " ".join(str(error).split()).rstrip(".")
             raise InputError(
