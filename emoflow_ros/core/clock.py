@@ -1,0 +1,116 @@
+"""From the sensor's clock to ROS time.
+
+A driver stamps a message with the host's time when its first event arrived, which is the event's
+time plus a delay that varies but is never negative. The smallest differences between stamp and
+sensor time therefore lie along the true offset (plus the smallest delay), and their slope over
+time is the drift of one clock against the other.
+"""
+
+from collections import deque
+from enum import StrEnum
+
+import numpy as np
+
+from emoflow_ros.core.windows import NS_PER_S
+
+# Event times closer than this to the stamps are ROS time already.
+SAME_CLOCK_NS = NS_PER_S
+
+_BUCKET_NS = NS_PER_S  # the smallest difference of each second is kept
+_BUCKETS = 60
+_MIN_BUCKETS = 5  # before that a slope would be noise
+# How fast the offset may change, in ns per ns: below 1, so that time never goes back.
+_START_SLEW = 0.5
+_TRACKING_SLEW = 1e-3
+
+
+class Timestamps(StrEnum):
+    """Which time the output is stamped with."""
+
+    HEADER = "header"  # follow each message's stamp
+    SENSOR = "sensor"  # the events' own times
+    FUSED = "fused"  # sensor time on ROS's clock: offset estimated, drift tracked
+
+
+class ClockMap:
+    """Map the times of one sensor to ROS time; increasing times give increasing times.
+
+    Args:
+        timestamps: what to map to.
+
+    Attributes:
+        drift_ppm: how much faster ROS time runs than the sensor's clock, in parts per million;
+            0 until there is evidence.
+    """
+
+    def __init__(self, timestamps: Timestamps) -> None:
+        self._timestamps = timestamps
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the offset, for example after a jump in time."""
+        self.drift_ppm = 0.0
+        self._first: int | None = None
+        self._identity = self._timestamps is Timestamps.SENSOR
+        # The offset in use is `_held` at sensor time `_since` and moves from there towards the
+        # line `_target` + `drift_ppm` * (t - `_reference`).
+        self._since = self._held = self._reference = self._target = 0
+        self._slew = _START_SLEW
+        self._minima: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)  # (sensor time, difference)
+
+    def observe(self, sensor: int, stamp: int) -> None:
+        """Take the time of a message's first event and the message's stamp, both in ns."""
+        difference = stamp - sensor
+        if self._first is None:
+            self._first = sensor
+            self._identity |= (
+                self._timestamps is Timestamps.FUSED and abs(difference) < SAME_CLOCK_NS
+            )
+            self._since = self._reference = sensor
+            self._held = self._target = difference
+        if self._identity:
+            return
+        self._held = self.offset(sensor)
+        self._since = max(self._since, sensor)
+        if self._timestamps is Timestamps.HEADER:
+            self._reference, self._target = sensor, difference
+        else:
+            self._track(sensor, difference)
+
+    def offset(self, t: int) -> int:
+        """ROS time minus sensor time at sensor time t, in ns."""
+        if self._identity:
+            return 0
+        line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
+        reach = round(self._slew * max(0, t - self._since))
+        return self._held + min(max(line - self._held, -reach), reach)
+
+    def to_ros(self, t: int) -> int:
+        """Map a sensor time to ROS time, in ns; before the first observation it is unchanged."""
+        return t + self.offset(t)
+
+    def _track(self, sensor: int, difference: int) -> None:
+        assert self._first is not None
+        if self._minima and self._minima[-1][0] // _BUCKET_NS == sensor // _BUCKET_NS:
+            if difference >= self._minima[-1][1]:
+                return
+            self._minima.pop()
+        else:
+            self._fit()
+        self._minima.append((sensor, difference))
+        if len(self._minima) < _MIN_BUCKETS:
+            self._reference = sensor
+            self._target = min(d for _, d in self._minima)
+
+    def _fit(self) -> None:
+        """Fit the line through the minima of the finished seconds (Theil-Sen)."""
+        if len(self._minima) < _MIN_BUCKETS:
+            return
+        self._slew = _TRACKING_SLEW
+        self._reference = self._minima[-1][0]
+        base = self._minima[-1][1]
+        t, d = np.array([(a - self._reference, b - base) for a, b in self._minima], float).T
+        i, j = np.triu_indices(len(t), 1)
+        slope = float(np.median((d[j] - d[i]) / (t[j] - t[i])))
+        self.drift_ppm = slope * 1e6
+        self._target = base + round(float(np.median(d - slope * t)))

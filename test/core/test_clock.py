@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+
+from emoflow_ros.core.clock import ClockMap, Timestamps
+
+MS = 1_000_000
+S = 1000 * MS
+OFFSET = 1_700_000_000 * S
+
+
+def messages(rng, seconds: float, drift_ppm: float, mean_delay_ms: float = 3.0):
+    """(sensor time, true ROS time, stamp) of messages every 10 ms."""
+    sensor = 5 * S + np.arange(0, round(seconds * 1e9), 10 * MS)
+    true = sensor + OFFSET + np.rint((sensor - sensor[0]) * drift_ppm * 1e-6).astype(np.int64)
+    delay = np.rint(rng.exponential(mean_delay_ms * MS, len(sensor))).astype(np.int64)
+    return zip(sensor.tolist(), true.tolist(), (true + delay).tolist(), strict=True)
+
+
+@pytest.mark.parametrize("drift_ppm", [-80.0, 0.0, 25.0, 200.0])
+def test_fused_finds_offset_and_drift(drift_ppm):
+    clock = ClockMap(Timestamps.FUSED)
+    errors = []
+    for sensor, true, stamp in messages(np.random.default_rng(1), 120, drift_ppm):
+        clock.observe(sensor, stamp)
+        errors.append(clock.to_ros(sensor) - true)
+    assert clock.drift_ppm == pytest.approx(drift_ppm, abs=1.0)
+    assert np.abs(errors[2000:]).max() < 0.3 * MS  # against delays of 3 ms on average
+    assert np.abs(errors[100:]).max() < 2 * MS
+
+
+@pytest.mark.parametrize("timestamps", Timestamps)
+def test_time_never_goes_back(timestamps):
+    clock = ClockMap(timestamps)
+    mapped = []
+    for sensor, _, stamp in messages(np.random.default_rng(2), 20, 50.0, mean_delay_ms=20):
+        clock.observe(sensor, stamp)
+        mapped += [clock.to_ros(sensor + dt) for dt in range(0, 10 * MS, MS)]
+    assert np.all(np.diff(mapped) > 0)
+
+
+def test_sensor_times_are_left_alone():
+    clock = ClockMap(Timestamps.SENSOR)
+    clock.observe(5 * S, OFFSET)
+    assert clock.to_ros(7 * S) == 7 * S
+
+
+def test_header_follows_the_stamps():
+    clock = ClockMap(Timestamps.HEADER)
+    clock.observe(5 * S, OFFSET)
+    assert clock.to_ros(5 * S) == OFFSET
+    assert clock.to_ros(5 * S + MS) == OFFSET + MS
+    clock.observe(5 * S + 10 * MS, OFFSET + 12 * MS)  # 2 ms late
+    assert clock.to_ros(5 * S + 20 * MS) == OFFSET + 22 * MS
+
+
+def test_header_stamp_that_jumps_back_slows_time_down():
+    clock = ClockMap(Timestamps.HEADER)
+    clock.observe(0, OFFSET)
+    clock.observe(10 * MS, OFFSET - 90 * MS)
+    assert clock.to_ros(10 * MS) == OFFSET + 10 * MS
+    assert clock.to_ros(20 * MS) == OFFSET + 15 * MS
+    assert clock.to_ros(S) == OFFSET + S - 100 * MS
+
+
+def test_event_times_on_ros_time_stay_as_they_are():
+    clock = ClockMap(Timestamps.FUSED)
+    clock.observe(OFFSET - 20 * MS, OFFSET)
+    assert clock.to_ros(OFFSET) == OFFSET
+
+
+def test_smallest_delay_counts_from_the_start():
+    clock = ClockMap(Timestamps.FUSED)
+    for k, delay in enumerate([8, 3, 5, 1, 9, 4]):
+        clock.observe(k * 100 * MS, OFFSET + (k * 100 + delay) * MS)
+    assert clock.offset(S) == OFFSET + MS
+
+
+def test_before_any_message_time_is_unchanged():
+    assert ClockMap(Timestamps.FUSED).to_ros(3) == 3
+
+
+def test_reset_starts_anew():
+    clock = ClockMap(Timestamps.FUSED)
+    for sensor, _, stamp in messages(np.random.default_rng(3), 20, 100.0):
+        clock.observe(sensor, stamp)
+    assert clock.drift_ppm > 50
+    clock.reset()
+    assert clock.drift_ppm == 0
+    clock.observe(S, 100 * S)
+    assert clock.to_ros(2 * S) == 101 * S
