@@ -45,13 +45,13 @@ def window_panels(example: Example, camera: Camera, truth: Truth) -> Figure:
 
 
 def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
-    """Length of full colour: the 99th percentile of what the picture is judged by."""
+    """Length of full colour: nearly the longest of the truth, or of the estimate without one."""
     if true is not None and true.valid.any():
         judged = true.displacement[true.valid].astype(np.float64)
     else:
         judged = estimated[np.isfinite(estimated).all(axis=-1)]
     lengths = np.linalg.norm(judged, axis=-1)
-    return max(float(np.percentile(lengths, 99)), 1e-3) if lengths.size else 1.0
+    return max(float(np.percentile(lengths, 99.9)), 1e-3) if lengths.size else 1.0
 
 
 def _error_map(figure: Figure, ax: Axes, error: NDArray[np.floating]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,9 +107,7 @@ def _effort(windows: Sequence[WindowResult]) -> list[Measure]:
         _measure("runtime_p95_ms", "Time per window, 95 %", "ms", milliseconds, _percentile_95),
     ]
     if done:
-        # Overlapping windows advance by their stride only.
-        starts = np.array([w.t_start for w in done])
-        covered = float(np.diff(starts).sum() + done[-1].t_end - done[-1].t_start) / NS_PER_S
+        covered = (done[-1].t_end - done[0].t_start) / NS_PER_S
         factor = sum(w.quality.runtime_s for w in done) / covered
         nan = float("nan")
         measures.append(
@@ -118,11 +117,10 @@ def _effort(windows: Sequence[WindowResult]) -> list[Measure]:
 
 
 def _measure(
-    key: str, label: str, unit: str, rows: Sequence[object], statistic: Statistic = np.median
+    key: str, label: str, unit: str, rows: Sequence[Any], statistic: Statistic = np.median
 ) -> Measure:
     """Apply a statistic to the rows, numbers or short tuples, that are finite."""
-    values = np.array(rows, np.float64)
-    values = values[np.isfinite(values.reshape(len(values), -1)).all(axis=1)]
+    values = np.array([row for row in rows if np.isfinite(row).all()], np.float64)
     if len(values) == 0:
         return Measure(key, label, float("nan"), unit, float("nan"), float("nan"), 0)
     low, high = bootstrap_interval(values, statistic)

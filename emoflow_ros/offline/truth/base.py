@@ -63,4 +63,5 @@ class Truth:
     @property
     def description(self) -> list[str]:
         """One line per source, for the report."""
-        return [source.description for source in (self.twists, self.flows) if source]
+        sources = [source for source in (self.twists, self.flows) if source]
+        return list(dict.fromkeys(source.description for source in sources))

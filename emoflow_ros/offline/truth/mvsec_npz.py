@@ -54,7 +54,8 @@ class _Frames:
 
     def __init__(self, path: Path, member: str) -> None:
         # An archive of its own: members of one archive disturb each other when they seek.
-        self._stream = zipfile.ZipFile(path).open(member)
+        self._archive = zipfile.ZipFile(path)
+        self._stream = self._archive.open(member)
         major, _ = np.lib.format.read_magic(self._stream)
         if major == 1:
             header = np.lib.format.read_array_header_1_0(self._stream)

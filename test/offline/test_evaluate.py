@@ -1,0 +1,92 @@
+"""The executable: exit codes and the one line for bad input."""
+
+import pytest
+
+from emoflow_ros.offline import evaluate
+
+
+def call(monkeypatch, *arguments):
+    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
+    return evaluate.main()
+
+
+def ecd(path, events, calibration="20 20 16 12 0 0 0 0 0"):
+    path.mkdir()
+    (path / "events.txt").write_text(events)
+    if calibration:
+        (path / "calib.txt").write_text(calibration)
+    return path
+
+
+def assert_line(capsys, code, *words):
+    error = capsys.readouterr().err
+    lines = [line for line in error.splitlines() if line.startswith("error: ")]
+    assert code == 2
+    assert len(lines) == 1, error
+    for word in words:
+        assert word in lines[0]
+
+
+def test_help_explains_itself(monkeypatch, capsys):
+    with pytest.raises(SystemExit) as done:
+        call(monkeypatch, "--help")
+    assert done.value.code == 0
+    text = capsys.readouterr().out
+    for word in ("--gt", "--window-ms", "estimates.h5", "examples:", "exit codes"):
+        assert word in text
+
+
+def test_missing_input(monkeypatch, capsys, tmp_path):
+    code = call(monkeypatch, tmp_path / "none.bag")
+    assert_line(capsys, code, "none.bag: no such file")
+
+
+def test_no_calibration(monkeypatch, capsys, tmp_path):
+    code = call(monkeypatch, ecd(tmp_path / "e", "0.1 1 1 1\n", calibration=None))
+    assert_line(capsys, code, "no camera calibration", "--calib FILE")
+
+
+def test_missing_truth(monkeypatch, capsys, tmp_path):
+    folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
+    code = call(monkeypatch, folder, "--gt", tmp_path / "gt.bag", "--out", tmp_path / "out")
+    assert_line(capsys, code, "gt.bag: no such file", "--gt")
+
+
+def test_unknown_truth(monkeypatch, capsys, tmp_path):
+    folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
+    (tmp_path / "gt.xml").touch()
+    code = call(monkeypatch, folder, "--gt", tmp_path / "gt.xml", "--out", tmp_path / "out")
+    assert_line(capsys, code, "gt.xml: not ground truth of a known format")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--set", "window.duration_ms"], "--set window.duration_ms: not of the form NAME=VALUE"),
+        (["--set", "no.such=1"], "no.such: no such option"),
+        (["--window-ms", "-5"], "window.duration_ms"),
+        (["--window-ms", "50", "--stride-ms", "60"], "window.stride_ms"),
+        (["--profile", "fast"], "unknown profile 'fast'"),
+    ],
+)
+def test_bad_options(monkeypatch, capsys, tmp_path, arguments, words):
+    folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
+    assert_line(capsys, call(monkeypatch, folder, *arguments), words)
+
+
+def test_out_that_is_a_file(monkeypatch, capsys, tmp_path):
+    folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
+    (tmp_path / "file").touch()
+    code = call(monkeypatch, folder, "--out", tmp_path / "file" / "out")
+    assert_line(capsys, code, "cannot be made", "--out")
+
+
+def test_stride_and_overrides_reach_the_configuration():
+    options = evaluate._parse(
+        ["x", "--window-ms", "50", "--stride-ms", "25", "--set", "estimator.max_events=2000"]
+    )
+    assert evaluate._overrides(options) == {
+        "window.duration_ms": 50.0,
+        "window.stride_ms": 25.0,
+        "estimator.max_events": 2000,
+    }

@@ -1,0 +1,219 @@
+"""The whole way from a recording to the report, with an estimator whose errors are known."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
+from emoflow_ros.offline.evaluation import evaluate
+from emoflow_ros.offline.iwe import event_image, warped_image
+from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.offline.report import format_number, write_report
+from emoflow_ros.offline.summary import bootstrap_interval, summarise
+from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.offline.truth.rotation import ConstantRotation
+
+OMEGA = np.array([0.3, 0.5, -0.2])
+CAMERA = Camera(240, 180, 200.0, 200.0, 119.5, 89.5)
+
+
+class ShiftedFlow:
+    """The true flow plus a constant velocity in px/s."""
+
+    def __init__(self, shift):
+        self.true = ConstantRotation(CAMERA, OMEGA, "test")
+        self.shift = np.float32(shift)
+
+    def displacement(self, t0, t1):
+        return self.true.displacement(t0, t1).displacement + self.shift * ((t1 - t0) / 1e9)
+
+
+class KnownErrors:
+    """Returns 1.2 times the true rotation and a flow that is (3, 4) px per 100 ms off."""
+
+    def __init__(self, camera=None, fail_at=(), interrupt_at=None):
+        self.calls = self.resets = 0
+        self.fail_at, self.interrupt_at = fail_at, interrupt_at
+
+    def estimate(self, window):
+        self.calls += 1
+        if self.calls == self.interrupt_at:
+            raise KeyboardInterrupt
+        if self.calls in self.fail_at:
+            raise ValueError("singular matrix")
+        return Estimate(
+            window.t_start,
+            window.t_end,
+            (window.t_start + window.t_end) // 2,
+            Status.OK,
+            Quality(events=len(window.events), runtime_s=0.05, contrast_gain=1.5),
+            MotionModel.ROTATION,
+            angular=1.2 * OMEGA,
+            flow=ShiftedFlow((30.0, 40.0)),
+        )
+
+    def reset(self):
+        self.resets += 1
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """An ECD folder of 550 ms with motion.txt."""
+    path = tmp_path / "spin"
+    path.mkdir()
+    rng = np.random.default_rng(0)
+    n = 5501
+    rows = np.column_stack(
+        [
+            2 + np.arange(n) * 1e-4,
+            rng.integers(0, 240, n),
+            rng.integers(0, 180, n),
+            np.arange(n) % 2,
+        ]
+    )
+    np.savetxt(path / "events.txt", rows, fmt="%.6f %d %d %d")
+    (path / "calib.txt").write_text("200 200 119.5 89.5 0 0 0 0 0")
+    (path / "motion.txt").write_text(" ".join(map(str, OMEGA)))
+    return path
+
+
+def run(path, estimator=None, window_ms=100.0, **options):
+    with open_recording(path) as recording:
+        return evaluate(
+            recording,
+            estimator or KnownErrors(),
+            WindowSlicer(WindowPolicy(duration_ms=window_ms)),
+            load_truth(recording),
+            **options,
+        )
+
+
+def test_windows_and_their_errors(folder):
+    windows = run(folder).windows
+    assert [(w.t_start, w.t_end) for w in windows] == [
+        (2_000_000_000 + k * 100_000_000, 2_100_000_000 + k * 100_000_000) for k in range(5)
+    ]
+    for w in windows:
+        assert w.events == 1000
+        assert w.flow.epe_px == pytest.approx(5.0, abs=1e-5)
+        assert w.flow.pe3 == 100.0
+        assert w.axis_error_deg == pytest.approx(0.0, abs=1e-6)
+        assert w.rate_ratio == pytest.approx(1.2)
+        np.testing.assert_allclose(w.angular_error, 0.2 * OMEGA)
+        assert np.isnan(w.direction_error_deg)
+
+
+def test_last_incomplete_window_is_left_out_and_a_just_complete_one_is_not(folder):
+    assert len(run(folder, window_ms=110.0).windows) == 5
+    assert len(run(folder, window_ms=549.0).windows) == 1
+    with pytest.raises(InputError, match=r"span 550.0 ms, less than one window.*--window-ms"):
+        run(folder, window_ms=551.0)
+
+
+def test_summary(folder):
+    measures = {m.key: m for m in summarise(run(folder).windows)}
+    assert measures["epe_px"].value == pytest.approx(5.0, abs=1e-5)
+    assert measures["epe_px"].windows == 5
+    rms = np.degrees(np.sqrt(np.mean((0.2 * OMEGA) ** 2)))
+    assert measures["angular_rms_deg_s"].value == pytest.approx(rms)
+    assert measures["rate_ratio"].value == pytest.approx(1.2)
+    assert measures["load"].value == pytest.approx(0.5)  # 5 times 50 ms in 500 ms
+    assert measures["runtime_p95_ms"].value == pytest.approx(50.0)
+    assert "direction_error_deg" not in measures  # nothing to say about translation
+
+
+def test_bootstrap_of_a_normal_mean():
+    """The interval is the textbook's +-1.96 standard errors."""
+    values = np.random.default_rng(1).normal(10, 2, 400)
+    low, high = bootstrap_interval(values, np.mean)
+    error = 1.96 * values.std() / np.sqrt(len(values))
+    assert low == pytest.approx(values.mean() - error, abs=0.03)
+    assert high == pytest.approx(values.mean() + error, abs=0.03)
+    assert np.isnan(bootstrap_interval(values[:1], np.mean)).all()
+
+
+def test_failed_window_is_recorded_and_the_next_one_starts_cold(folder):
+    estimator = KnownErrors(fail_at=(2,))
+    done = run(folder, estimator)
+    assert [w.status for w in done.windows] == ["ok", "diverged", "ok", "ok", "ok"]
+    assert done.windows[1].note == "ValueError: singular matrix"
+    assert np.isnan(done.windows[1].angular).all()
+    assert estimator.resets == 1
+    assert not done.interrupted
+
+
+def test_interrupt_keeps_what_is_done(folder, tmp_path):
+    with EstimatesWriter(tmp_path / "e.h5", camera=CAMERA, source="", configuration={}) as writer:
+        done = run(folder, KnownErrors(interrupt_at=3), writer=writer)
+    assert done.interrupted
+    assert len(done.windows) == 2
+    assert len(read_estimates(tmp_path / "e.h5")) == 2
+
+
+def test_report_holds_the_values(folder, tmp_path):
+    done = run(folder, KnownErrors(fail_at=(2,)))
+    html_path, json_path = write_report(done, {"window.duration_ms": 100.0}, tmp_path)
+
+    report = json.loads(json_path.read_text())
+    assert report["summary"]["epe_px"]["value"] == pytest.approx(5.0, abs=1e-5)
+    assert report["summary"]["epe_px"]["unit"] == "px"
+    assert report["configuration"] == {"window.duration_ms": 100.0}
+    assert (report["windows_total"], report["windows_ok"]) == (5, 4)
+    assert report["windows"][0]["angular_y_rad_s"] == pytest.approx(0.6)
+    assert report["windows"][0]["linear_x"] is None
+    assert report["windows"][1]["note"] == "ValueError: singular matrix"
+    assert "numpy" in report["versions"]
+    assert report["truth"] == [
+        "velocity and flow: motion.txt, constant rotation about the camera's centre"
+    ]
+
+    with (tmp_path / "windows.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["ok", "diverged", "ok", "ok", "ok"]
+    assert float(rows[0]["epe_px"]) == pytest.approx(5.0, abs=1e-5)
+
+    html = html_path.read_text()
+    assert "Flow EPE</td><td>5.00</td>" in html
+    assert "4 of 5 windows have an estimate" in html
+    assert "ValueError: singular matrix" in html
+    assert "window.duration_ms" in html
+    assert html.count("data:image/png;base64,") >= 1
+    assert not re.search(r'(src|href)="(?!data:|#)', html), "not self-contained"
+
+
+def test_numbers_for_people():
+    assert format_number(-1.234) == "\N{MINUS SIGN}1.23"
+    assert format_number(float("nan")) == "\N{EN DASH}"
+    assert format_number(None) == "\N{EN DASH}"
+    assert format_number(2.0, 0) == "2"
+
+
+class ConstantFlow:
+    """(20, -10) px/s everywhere."""
+
+    def displacement(self, t0, t1):
+        return np.full((180, 240, 2), (20.0, -10.0)) * (t1 - t0) / 1e9
+
+
+def test_warp_brings_the_events_of_a_moving_point_together(folder):
+    """A point that moves 20 px in 1 s leaves one pixel after the warp."""
+    with open_recording(folder) as recording:
+        events = next(iter(recording.event_chunks()))[:5000]
+    seconds = (events.t - 2_000_000_000) / 1e9
+    events.x[:] = np.rint(100 + 20 * seconds)
+    events.y[:] = np.rint(90 - 10 * seconds)
+    window = WindowSlicer(WindowPolicy(duration_ms=499.0)).push(events)[0]
+    before = event_image(window.events, 240, 180)
+    after = warped_image(window, ConstantFlow(), 240, 180)
+    assert before.sum() == len(window.events)
+    assert after.sum() == pytest.approx(len(window.events))
+    # At the middle, 249.5 ms, the point is at (104.99, 87.5).
+    assert after[86:90, 104:107].sum() > 0.97 * after.sum()
+    assert before[86:90, 104:107].sum() < 0.5 * before.sum()
