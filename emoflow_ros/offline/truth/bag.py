@@ -35,7 +35,7 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
     Raises:
         InputError: a bag without poses.
     """
-    stack = ExitStack()  # the bag stays open: depth images are read when they are needed
+    stack = ExitStack()  # depth images are read when they are needed: they keep the bag open
     reader = stack.enter_context(open_bag(path))
     poses = _choose(path, reader, namespace, _POSE, ("pose",))
     if poses is None:
@@ -47,7 +47,7 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
     if depth is None:
         stack.close()
         return Truth(twists)
-    images = _DepthImages(path, reader, depth, camera)
+    images = _DepthImages(path, reader, depth, camera, stack)
     maps = DepthFlowMaps(camera, track, images.stamps, images.read, f"{path.name}{depth.topic}")
     return Truth(twists, PropagatedFlow(maps))
 
@@ -89,9 +89,15 @@ class _DepthImages:
     """The depth images of a topic, found by index in the bag when they are needed."""
 
     def __init__(
-        self, path: Path, reader: AnyReader, connection: Connection, camera: Camera
+        self,
+        path: Path,
+        reader: AnyReader,
+        connection: Connection,
+        camera: Camera,
+        stack: ExitStack,
     ) -> None:
         self._path, self._reader, self._connection = path, reader, connection
+        self._stack = stack
         self._size = camera.height, camera.width
         is_rectified = connection.topic.endswith("_rect")
         self._pixels = _rectified_pixels(camera) if is_rectified else None
