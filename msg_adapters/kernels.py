@@ -70,6 +70,6 @@ def count_bits(bits):  # type: ignore[no-untyped-def]
     """Count the set bits."""
     count = 0
     while bits:
-        count += bits & 1
-        bits >>= 1
+        count += 1
+        bits &= bits - 1
     return count

@@ -24,6 +24,7 @@ _TRIGGER = 0xA
 _OTHERS = 0xE
 _CONTINUED = 0xF
 
+_LOWER = 0xFFFFFFFF
 _WRAP_US = 1 << 34
 _HIGH, _KNOWN = range(2)
 _STATE_SIZE = 2
@@ -39,7 +40,7 @@ class PacketDecoder:
 
     def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
         """Decode one packet; the sensor's time counts, `time_base` is not used."""
-        words = view_words(payload, "u8", big_endian, self._statistics)
+        words = view_words(payload, "i8", big_endian, self._statistics)
         if self._upper_first is None:
             self._upper_first = _find_order(words)
         if self._upper_first:
@@ -56,28 +57,28 @@ class PacketDecoder:
         self._upper_first = None
 
 
-def _find_order(words: NDArray[np.uint64]) -> bool | None:
+def _find_order(words: NDArray[np.int64]) -> bool | None:
     """Tell whether the upper half comes first; None while the words fit either order."""
     as_is, swapped = _plausible(words), _plausible(_swap_halves(words))
     return None if as_is == swapped else swapped > as_is
 
 
-def _swap_halves(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    return words << np.uint64(32) | words >> np.uint64(32)
+def _swap_halves(words: NDArray[np.int64]) -> NDArray[np.int64]:
+    return words << 32 | words >> 32 & _LOWER
 
 
-def _plausible(words: NDArray[np.uint64]) -> int:
+def _plausible(words: NDArray[np.int64]) -> int:
     """Count the words that are a time, or a vector with events and an aligned column."""
-    kind = words >> np.uint64(60)
-    aligned = words >> np.uint64(43) & np.uint64(0x1F) == 0
-    some = words & np.uint64(0xFFFFFFFF) != 0
+    kind = words >> 60 & 0xF
+    aligned = words >> 43 & 0x1F == 0
+    some = words & _LOWER != 0
     vectors = (kind <= _EVT_POS) & aligned & some
     times = (kind == _TIME_HIGH) & ~some
     return int(np.count_nonzero(vectors | times))
 
 
 @njit(
-    types.int64(types.Array(types.uint64, 1, "C", readonly=True, aligned=False)),
+    types.int64(types.Array(types.int64, 1, "C", readonly=True, aligned=False)),
     cache=True,
     nogil=True,
 )
@@ -85,18 +86,18 @@ def _count(words):  # type: ignore[no-untyped-def]
     """Count the events that the words can stand for at most."""
     count = 0
     for i in range(len(words)):
-        if words[i] >> np.uint64(60) <= _EVT_POS:
-            count += count_bits(np.int64(words[i] & np.uint64(0xFFFFFFFF)))
+        if words[i] >> 60 & 0xF <= _EVT_POS:
+            count += count_bits(words[i] & _LOWER)
     return count
 
 
-@njit(kernel_signature(types.uint64), cache=True, nogil=True)
+@njit(kernel_signature(types.int64), cache=True, nogil=True)
 def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     high, known = state[_HIGH], state[_KNOWN]
     n = triggers = wraps = skipped = 0
     for i in range(len(words)):
-        upper = np.int64(words[i] >> np.uint64(32))
-        lower = np.int64(words[i] & np.uint64(0xFFFFFFFF))
+        upper = words[i] >> 32 & _LOWER
+        lower = words[i] & _LOWER
         kind = upper >> 28
         if kind <= _EVT_POS:
             if known:
