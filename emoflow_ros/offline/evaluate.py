@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Sequence as Ordered
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +10,14 @@ import yaml
 
 from emoflow_ros import cli
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.windows import WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.evaluation import Evaluation, evaluate
-from emoflow_ros.offline.readers import open_recording, require_camera
+from emoflow_ros.offline.protocols import PROTOCOLS, WINDOWS, make_plan
+from emoflow_ros.offline.readers import Recording, open_recording, require_camera
+from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.report import write_report
+from emoflow_ros.offline.sequences import Sequence, find_sequence
 from emoflow_ros.offline.summary import summarise
 from emoflow_ros.offline.truth import load_truth
 
@@ -25,6 +27,8 @@ examples:
   evaluate recording.bag --calib camera.yaml
   evaluate indoor_flying1_data.bag --gt indoor_flying1_gt.bag indoor_flying1_gt_flow_dist.npz
   evaluate shapes_rotation/ --window-ms 98 --out out/shapes
+  evaluate indoor_flying1_data.hdf5 --sequence indoor_flying1 --protocol mvsec-dt4 \\
+           --gt indoor_flying1_gt.bag indoor_flying1_gt_flow_dist.npz
 
 writes into DIR: report.html, report.json, windows.csv and estimates.h5 (docs/estimates_file.md).
 exit codes: 0 done, 1 no window could be estimated, 2 bad input, 130 interrupted (what was done
@@ -37,7 +41,7 @@ def main() -> int:
     return cli.run(lambda: _run(_parse(sys.argv[1:])))
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def _parse(arguments: Ordered[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="evaluate",
         description="Estimate egomotion and optical flow of a recording, without ROS running, and "
@@ -69,6 +73,18 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     )
     add("--topic", metavar="T", help="event topic, where the recording has several")
     add("--profile", default="realtime", metavar="NAME", help="configuration (default: realtime)")
+    add(
+        "--protocol",
+        default=WINDOWS,
+        choices=PROTOCOLS,
+        help="which intervals are compared (docs/evaluation.md; default: windows)",
+    )
+    add(
+        "--sequence",
+        metavar="NAME",
+        help="a benchmark's sequence: sets calibration, event topic, frames and crop, for example "
+        "indoor_flying1",
+    )
     add("--window-ms", type=float, metavar="MS", help="length of a window (default: the profile's)")
     add(
         "--stride-ms",
@@ -96,14 +112,17 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, _overrides(options))
+    sequence = find_sequence(options.sequence) if options.sequence else None
     folder = options.out or Path("out") / options.input.resolve().stem
-    with open_recording(options.input, topic=options.topic, calibration=options.calib) as recording:
+    with _open(options, sequence) as recording:
         camera = require_camera(recording)
         truth = load_truth(recording, options.gt)
+        plan = make_plan(options.protocol, recording, truth, config.window, sequence)
         _make_folder(folder)
         # Loads torch and numba, which --help and bad input need not wait for.
         from emoflow_ros.core.factory import make_estimator
 
+        estimator = make_estimator(camera, config)
         with EstimatesWriter(
             folder / "estimates.h5",
             camera=camera,
@@ -113,9 +132,10 @@ def _run(options: argparse.Namespace) -> int:
         ) as writer:
             run = evaluate(
                 recording,
-                make_estimator(camera, config),
-                WindowSlicer(config.window),
-                truth,
+                estimator,
+                plan.slicer,
+                plan.truth,
+                protocol=plan.description,
                 writer=writer,
                 progress=True,
             )
@@ -126,6 +146,17 @@ def _run(options: argparse.Namespace) -> int:
     if run.interrupted:
         return cli.EXIT_INTERRUPTED
     return 0 if any(w.ok for w in run.windows) else _EXIT_NOTHING_ESTIMATED
+
+
+def _open(options: argparse.Namespace, sequence: Sequence | None) -> Recording:
+    """Open the recording; what a sequence prescribes yields to what the user says."""
+    topic = options.topic
+    if sequence and topic is None and BagRecording.matches(options.input):
+        topic = sequence.topic
+    recording = open_recording(options.input, topic=topic, calibration=options.calib)
+    if sequence and options.calib is None:
+        recording.camera = sequence.camera
+    return recording
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:

@@ -36,6 +36,7 @@ class Evaluation:
         topic: its event topic.
         camera: its camera.
         truth: what it was compared with.
+        protocol: which windows were compared, in words.
         windows: one result per window.
         gallery: windows for pictures.
         interrupted: whether Ctrl-C ended it early.
@@ -45,6 +46,7 @@ class Evaluation:
     topic: str
     camera: Camera
     truth: Truth
+    protocol: str = ""
     windows: list[WindowResult] = field(default_factory=list)
     gallery: Gallery = field(default_factory=Gallery)
     interrupted: bool = False
@@ -56,6 +58,7 @@ def evaluate(
     slicer: Slicer,
     truth: Truth,
     *,
+    protocol: str = "",
     writer: EstimatesWriter | None = None,
     progress: bool = False,
 ) -> Evaluation:
@@ -69,13 +72,15 @@ def evaluate(
         estimator: made for the recording's camera.
         slicer: the window policy.
         truth: may be empty.
+        protocol: the slicer's windows in words, for the report.
         writer: receives every estimate, if given.
         progress: whether to show a bar over the recording's time.
 
     Raises:
         InputError: no camera, damaged data, or not one whole window.
     """
-    run = Evaluation(recording.path, recording.topic, require_camera(recording), truth)
+    camera = require_camera(recording)
+    run = Evaluation(recording.path, recording.topic, camera, truth, protocol)
     with tqdm(
         total=recording.duration and round(recording.duration, 3),
         desc=recording.path.name,

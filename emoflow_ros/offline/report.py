@@ -119,6 +119,7 @@ def _facts(run: Evaluation) -> dict[str, Any]:
         "camera": f"{camera.width}x{camera.height}, {camera.model}, fx {camera.fx:.2f}, "
         f"fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} px",
         "truth": run.truth.description,
+        "protocol": run.protocol,
         "interrupted": run.interrupted,
         "windows_total": len(run.windows),
         "windows_ok": sum(w.ok for w in run.windows),

@@ -13,7 +13,15 @@ from emoflow_ros.offline.truth.ecd import load_motion, load_poses
 from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
 from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
 
-__all__ = ["FlowSource", "TrueFlow", "TrueTwist", "Truth", "TwistSource", "load_truth"]
+__all__ = [
+    "FlowSource",
+    "PropagatedFlow",
+    "TrueFlow",
+    "TrueTwist",
+    "Truth",
+    "TwistSource",
+    "load_truth",
+]
 
 # Files that lie beside the events of an ECD folder, the best first.
 _BY_NAME: dict[str, Callable[[Path, Camera], Truth]] = {

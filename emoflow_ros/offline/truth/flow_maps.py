@@ -37,12 +37,13 @@ class PropagatedFlow:
 
     def __init__(self, maps: FlowMaps) -> None:
         self._maps = maps
+        self.stamps = maps.stamps
         self._kept: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
         self.description = f"flow: {maps.name}, propagated by nearest neighbour from map to map"
 
     def displacement(self, t0: int, t1: int) -> TrueFlow | None:
         """Displacement over [t0, t1] ns; None outside the maps' stamps."""
-        stamps = self._maps.stamps
+        stamps = self.stamps
         if len(stamps) < 2 or not stamps[0] <= t0 < t1 <= stamps[-1]:
             return None
         first = int(np.searchsorted(stamps, t0, side="right")) - 1

@@ -1,0 +1,78 @@
+"""What the benchmarks prescribe per sequence: calibration, frames, segment and crop."""
+
+from dataclasses import dataclass
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.errors import InputError
+
+# MVSEC's left DAVIS346 (camchain of the two sites; the published code of several methods uses
+# the right one's for indoor_flying).
+_INDOOR = Camera(
+    346,
+    260,
+    226.38018519795807,
+    226.15002947047415,
+    173.6470807871759,
+    133.73271487507847,
+    "equidistant",
+    (-0.048031442223833355, 0.011330957517194437, -0.055378166304281135, 0.021500973881459395),
+)
+_OUTDOOR = Camera(
+    346,
+    260,
+    223.9940010790056,
+    223.61783486959376,
+    170.7684322973841,
+    128.18711828338436,
+    "equidistant",
+    (-0.033904378348448685, -0.01537260902537579, -0.022284741346941413, 0.0069204143687187645),
+)
+_HOOD = 193  # the car's hood begins here
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One sequence of a benchmark.
+
+    Attributes:
+        name: as the data set calls it.
+        camera: the left camera.
+        first_frame, last_frame: the frames that evaluation intervals start at, inclusive;
+            None means no limit.
+        segment_s: limits (from, to) of the evaluated part, in s since the first frame.
+        rows: the image rows above this one count.
+        topic: the left camera's events in the data set's bags.
+    """
+
+    name: str
+    camera: Camera
+    first_frame: int = 0
+    last_frame: int | None = None
+    segment_s: tuple[float, float] | None = None
+    rows: int = 260
+    topic: str = "/davis/left/events"
+
+
+_TABLE = (
+    Sequence("indoor_flying1", _INDOOR, 60, 1340),
+    Sequence("indoor_flying2", _INDOOR, 140, 1500),
+    Sequence("indoor_flying3", _INDOOR, 100, 1711),
+    Sequence("indoor_flying4", _INDOOR, 104, 380),
+    Sequence("outdoor_day1", _OUTDOOR, last_frame=5020, rows=_HOOD),
+    Sequence("outdoor_day1_segment", _OUTDOOR, segment_s=(222.4, 240.4), rows=_HOOD),
+    Sequence("outdoor_day2", _OUTDOOR, last_frame=5020, rows=_HOOD),
+)
+SEQUENCES = {sequence.name: sequence for sequence in _TABLE}
+
+
+def find_sequence(name: str) -> Sequence:
+    """Look a sequence up.
+
+    Raises:
+        InputError: no such sequence.
+    """
+    if name not in SEQUENCES:
+        raise InputError(
+            "--sequence", f"unknown sequence '{name}'", f"use one of {', '.join(SEQUENCES)}"
+        )
+    return SEQUENCES[name]

@@ -1,0 +1,147 @@
+"""The benchmarks' intervals, counted by hand."""
+
+import h5py
+import numpy as np
+import pytest
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.protocols import (
+    CroppedFlow,
+    IntervalSlicer,
+    frame_intervals,
+    make_plan,
+)
+from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.offline.sequences import SEQUENCES, Sequence, find_sequence
+from emoflow_ros.offline.truth import TrueFlow, Truth
+
+INDOOR = SEQUENCES["indoor_flying1"].camera
+
+
+def test_every_frame_starts_an_interval():
+    stamps = np.array([10, 20, 30, 45, 60])
+    assert frame_intervals(stamps, 1) == [(10, 20), (20, 30), (30, 45), (45, 60)]
+    assert frame_intervals(stamps, 4) == [(10, 60)]
+    assert frame_intervals(stamps, 5) == []
+
+
+def test_first_and_last_frame_of_a_sequence():
+    stamps = np.arange(8) * 10
+    some = Sequence("some", INDOOR, first_frame=2, last_frame=4)
+    assert frame_intervals(stamps, 1, some) == [(20, 30), (30, 40), (40, 50)]
+    assert frame_intervals(stamps, 4, some) == [(20, 60), (30, 70)]
+
+
+def test_segment_holds_whole_intervals():
+    stamps = np.arange(6) * NS_PER_S
+    some = Sequence("some", INDOOR, segment_s=(1.0, 4.0))
+    seconds = [(a // NS_PER_S, b // NS_PER_S) for a, b in frame_intervals(stamps, 2, some)]
+    assert seconds == [(1, 3), (2, 4)]
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "last", "rows"),
+    [
+        ("indoor_flying1", 60, 1340, 260),
+        ("indoor_flying2", 140, 1500, 260),
+        ("indoor_flying3", 100, 1711, 260),
+        ("indoor_flying4", 104, 380, 260),
+        ("outdoor_day1", 0, 5020, 193),
+        ("outdoor_day2", 0, 5020, 193),
+    ],
+)
+def test_published_frame_ranges(name, first, last, rows):
+    sequence = find_sequence(name)
+    assert (sequence.first_frame, sequence.last_frame, sequence.rows) == (first, last, rows)
+    assert sequence.camera.model == "equidistant"
+
+
+def test_unknown_sequence_lists_the_known_ones():
+    with pytest.raises(InputError, match="use one of indoor_flying1, indoor_flying2"):
+        find_sequence("indoor_flying9")
+
+
+def stream(times):
+    t = np.asarray(times, np.int64)
+    n = len(t)
+    return Events(np.zeros(n, np.uint16), np.zeros(n, np.uint16), t, np.ones(n, bool))
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 100])
+def test_interval_slicer_on_overlapping_intervals(chunk):
+    times = np.arange(0, 100)
+    slicer = IntervalSlicer([(5, 25), (10, 30), (28, 40), (98, 99)])
+    windows = []
+    for first in range(0, 100, chunk):
+        windows += slicer.push(stream(times[first : first + chunk]))
+    assert [(w.t_start, w.t_end) for w in windows] == [(5, 25), (10, 30), (28, 40), (98, 99)]
+    for w in windows:
+        np.testing.assert_array_equal(w.events.t, np.arange(w.t_start, w.t_end))
+
+
+def test_interval_slicer_leaves_out_what_is_empty_or_not_complete():
+    slicer = IntervalSlicer([(0, 10), (20, 30), (35, 50)])
+    assert [w.t_start for w in slicer.push(stream([1, 15, 31, 49]))] == [0]
+
+
+class FullFlow:
+    description = "flow: test"
+
+    def displacement(self, t0, t1):
+        return TrueFlow(np.ones((4, 3, 2), np.float32), np.ones((4, 3), bool))
+
+
+def test_crop_keeps_the_rows_above():
+    valid = CroppedFlow(FullFlow(), 3).displacement(0, 1).valid
+    np.testing.assert_array_equal(valid, [[True] * 3] * 3 + [[False] * 3])
+
+
+@pytest.fixture
+def mvsec_file(tmp_path):
+    """10 frames at 20 Hz, events at 1 kHz."""
+    path = tmp_path / "x_data.hdf5"
+    n = 500
+    t = 100 + np.arange(n) * 1e-3
+    with h5py.File(path, "w") as file:
+        file["davis/left/events"] = np.column_stack([np.arange(n) % 346, np.arange(n) % 260, t, t])
+        file["davis/left/image_raw_ts"] = 100 + np.arange(10) * 0.05
+    return path
+
+
+def test_mvsec_plan_from_hdf5_frames(mvsec_file):
+    with open_recording(mvsec_file) as recording:
+        plan = make_plan("mvsec-dt4", recording, Truth(), WindowPolicy())
+        events = Events.concatenate(list(recording.event_chunks()))
+    windows = plan.slicer.push(events)
+    start = 100 * NS_PER_S
+    assert [(w.t_start - start) // NS_PER_MS for w in windows] == [0, 50, 100, 150, 200, 250]
+    assert all(w.t_end - w.t_start == 200 * NS_PER_MS for w in windows)
+    assert "every frame to number 4 after it, 6 intervals" in plan.description
+
+
+def test_mvsec_plan_of_too_short_a_recording(mvsec_file):
+    with open_recording(mvsec_file) as recording, pytest.raises(InputError, match="10 frames"):
+        make_plan("mvsec-dt1", recording, Truth(), WindowPolicy(), find_sequence("indoor_flying1"))
+
+
+def test_protocol_without_frames(tmp_path):
+    folder = tmp_path / "e"
+    folder.mkdir()
+    (folder / "events.txt").write_text("0.1 1 1 1\n")
+    with open_recording(folder) as recording, pytest.raises(InputError, match="no frames"):
+        make_plan("mvsec-dt1", recording, Truth(), WindowPolicy())
+
+
+def test_windows_plan(tmp_path, mvsec_file):
+    with open_recording(mvsec_file) as recording:
+        policy = WindowPolicy(duration_ms=50.0, stride_ms=25.0)
+        plan = make_plan("windows", recording, Truth(flows=FullFlow()), policy)
+        cropped = make_plan(
+            "windows", recording, Truth(flows=FullFlow()), policy, find_sequence("outdoor_day1")
+        )
+    assert isinstance(plan.slicer, WindowSlicer)
+    assert plan.description == "windows of 50 ms every 25 ms"
+    assert cropped.description.endswith("rows above 193 of 260 count")
+    assert isinstance(cropped.truth.flows, CroppedFlow)
