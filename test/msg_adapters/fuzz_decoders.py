@@ -75,6 +75,7 @@ def fuzz(target: str, runs: int, corpus: Path) -> None:
             raise AssertionError(f"{count} events out of {len(message)} bytes")
 
     flags = [f"-atheris_runs={runs}", f"-max_len={MAX_LENGTH}", "-verbosity=0"]
+    flags.append(f"-artifact_prefix={tempfile.gettempdir()}/")
     atheris.Setup([sys.argv[0], *flags, str(corpus)], one_input)
     atheris.Fuzz()
 

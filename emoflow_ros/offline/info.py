@@ -1,0 +1,233 @@
+"""The executable `info`: what a recording holds, and what is missing to run the estimator on it."""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from tqdm import tqdm
+
+from emoflow_ros.cli import run
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.offline.readers.bag import BagRecording, open_bag, read_messages, serialization
+from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
+
+_EPILOG = """\
+examples:
+  info recording.bag
+  info events.raw --json
+"""
+_NO_CALIBRATION = "no calibration: give one with --calib FILE"
+
+
+@dataclass
+class TopicInfo:
+    """One stream of events. Times are the sensor's, in seconds; None where there is no event."""
+
+    name: str
+    type: str
+    encoding: str = ""
+    width: int = 0
+    height: int = 0
+    events: int = 0
+    on: int = 0
+    off: int = 0
+    t_first: float | None = None
+    t_last: float | None = None
+    rate: float | None = None  # events/s
+    unsorted: int = 0  # events before the one that precedes them
+    packets: int = 0
+    malformed: int = 0  # packets
+    seq_gaps: int = 0  # packets
+    time_wraps: int = 0
+    triggers: int = 0
+    outside: int = 0  # events
+    skipped: int = 0  # words
+
+    def add(self, events: Events) -> None:
+        """Count the next events."""
+        if len(events) == 0:
+            return
+        t = events.t
+        first, last = int(t[0]) / NS_PER_S, int(t[-1]) / NS_PER_S
+        self.unsorted += int(np.count_nonzero(t[1:] < t[:-1]))
+        self.unsorted += self.t_last is not None and first < self.t_last
+        self.t_first = first if self.t_first is None else self.t_first
+        self.t_last = last
+        self.events += len(events)
+        self.on += int(np.count_nonzero(events.p))
+        self.off = self.events - self.on
+        if self.t_last > self.t_first:
+            self.rate = self.events / (self.t_last - self.t_first)
+
+    def take(self, statistics: Statistics) -> None:
+        """Take over what a decoder has counted."""
+        self.encoding = statistics.encoding
+        self.seq_gaps = statistics.seq_gaps
+        self.time_wraps = statistics.time_wraps
+        self.triggers = statistics.triggers
+        self.outside = statistics.dropped_outside
+        self.skipped = statistics.skipped
+
+
+@dataclass
+class Info:
+    """A recording: its event streams, the other topics, and what the estimator would miss."""
+
+    input: str
+    topics: list[TopicInfo] = field(default_factory=list)
+    other_topics: list[dict[str, Any]] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+
+def main() -> int:
+    """Run the executable."""
+    return run(lambda: _main(_parser().parse_args()))
+
+
+def inspect(path: Path) -> Info:
+    """Read a whole recording and count.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    info = _inspect_bag(path) if BagRecording.matches(path) else _inspect_file(path)
+    if not info.topics:
+        info.missing.append("no event topic")
+    info.missing += [f"{t.name or 'file'}: no events" for t in info.topics if t.events == 0]
+    return info
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="info",
+        description=__doc__,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("input", type=Path, help="a bag, or a file or folder of a data set")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser
+
+
+def _main(args: argparse.Namespace) -> None:
+    info = inspect(args.input)
+    if args.json:
+        print(json.dumps(asdict(info), indent=2))
+    else:
+        print("\n".join(_lines(info)))
+
+
+def _inspect_bag(path: Path) -> Info:
+    info = Info(str(path))
+    with open_bag(path) as bag:
+        for name in sorted({c.topic for c in bag.connections}):
+            connections = [c for c in bag.connections if c.topic == name]
+            ros_type = connections[0].msgtype
+            if ros_type in supported_types():
+                messages = (data for _, _, data in read_messages(path, bag, connections))
+                count = sum(c.msgcount for c in connections)
+                bar = tqdm(messages, name, count, unit="packet", leave=False, disable=None)
+                info.topics.append(_inspect_topic(name, ros_type, serialization(bag), bar))
+                if not _has_camera_info(bag, name):
+                    info.missing.append(f"{name}: {_NO_CALIBRATION}")
+            else:
+                count = sum(c.msgcount for c in connections)
+                info.other_topics.append({"name": name, "type": ros_type, "messages": count})
+    return info
+
+
+def _inspect_topic(name: str, ros_type: str, kind: Any, messages: Iterable[bytes]) -> TopicInfo:
+    topic = TopicInfo(name, ros_type)
+    decoder = make_decoder(ros_type, kind)
+    for data in messages:
+        topic.packets += 1
+        try:
+            message = decoder.decode(data)
+        except DecodeError:
+            topic.malformed += 1
+            continue
+        topic.width, topic.height = message.width, message.height
+        topic.add(message.events)
+    topic.take(decoder.statistics)
+    return topic
+
+
+def _has_camera_info(bag: AnyReader, topic: str) -> bool:
+    name = topic.rpartition("/")[0] + "/camera_info"
+    return any(c.topic == name and c.msgcount for c in bag.connections)
+
+
+def _inspect_file(path: Path) -> Info:
+    info = Info(str(path))
+    with open_recording(path) as recording:
+        kind = type(recording)
+        topic = TopicInfo(recording.topic, getattr(kind, "FORMAT", kind.__name__))
+        topic.encoding = getattr(recording, "encoding", "")
+        size = getattr(recording, "size", (0, 0))
+        if recording.camera is not None:
+            size = recording.camera.width, recording.camera.height
+        topic.width, topic.height = size
+        for events in tqdm(recording.event_chunks(), unit="chunk", leave=False, disable=None):
+            topic.add(events)
+        info.topics.append(topic)
+        if recording.camera is None:
+            info.missing.append(_NO_CALIBRATION)
+    return info
+
+
+def _lines(info: Info) -> Iterator[str]:
+    """Yield the report for people."""
+    yield info.input
+    for topic in info.topics:
+        yield ""
+        yield from _topic_lines(topic)
+    if info.other_topics:
+        yield ""
+        yield "other topics"
+        yield from _table([(t["name"], t["type"], str(t["messages"])) for t in info.other_topics])
+    yield ""
+    yield f"missing: {'; '.join(info.missing) or 'nothing'}"
+
+
+def _topic_lines(topic: TopicInfo) -> Iterator[str]:
+    yield f"{topic.name or 'events'}: {topic.type}"
+    rows = [
+        ("encoding", topic.encoding or "-"),
+        ("resolution", f"{topic.width}x{topic.height}" if topic.width else "unknown"),
+        ("events", f"{topic.events} ({topic.on} ON, {topic.off} OFF)"),
+    ]
+    if topic.t_first is not None and topic.t_last is not None:
+        span = f"{topic.t_first:.6f} to {topic.t_last:.6f} s"
+        rows.append(("sensor time", f"{span} ({topic.t_last - topic.t_first:.6f} s)"))
+    if topic.rate is not None:
+        rows.append(("rate", f"{topic.rate:.0f} events/s"))
+    if topic.packets:
+        rows.append(("packets", f"{topic.packets} ({topic.seq_gaps} lost)"))
+    problems = {
+        "malformed packets": topic.malformed,
+        "events out of order": topic.unsorted,
+        "events outside": topic.outside,
+        "words skipped": topic.skipped,
+        "time wraps": topic.time_wraps,
+        "triggers": topic.triggers,
+    }
+    rows += [(name, str(count)) for name, count in problems.items() if count]
+    yield from _table(rows)
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield ("  " + "  ".join(map(str.ljust, row, widths))).rstrip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
