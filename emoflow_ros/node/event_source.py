@@ -13,11 +13,10 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import EventTopic, find_event_topic, import_message_type
 from emoflow_ros.node.statistics import Level, Statistics
 
-_EVENT_QOS = QoSProfile(  # as event camera drivers publish
-    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
-)
+_EVENT_DEPTH = 1000  # as event camera drivers publish
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LOOK_S = 0.1
+_LOOKS_TO_SETTLE = 5  # the graph is discovered piece by piece
 _THROTTLE_S = 5.0
 
 
@@ -62,6 +61,8 @@ class EventSource:
         self._callbacks = callbacks
         self._statistics = statistics
         self._subscriptions: list[Subscription] = []
+        self._candidate: EventTopic | None = None
+        self._looks = 0
         self._timer = node.create_timer(_LOOK_S, self._look)
 
     def stop(self) -> None:
@@ -77,7 +78,7 @@ class EventSource:
             return
         try:
             topic = find_event_topic(self._node, self._wanted_type)
-            if topic is not None:
+            if topic is not None and self._is_settled(topic):
                 self._subscribe(topic)
         except InputError as error:
             self._statistics.set_problem("input", Level.ERROR, str(error))
@@ -88,12 +89,18 @@ class EventSource:
             waiting = f"waiting for events: nobody publishes {name}"
             self._statistics.set_problem("input", Level.WARN, waiting)
             self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
-            return
-        self._node.destroy_timer(self._timer)
-        self._statistics.clear_problem("input")
+
+    def _is_settled(self, topic: EventTopic) -> bool:
+        """Whether to take the topic: one that was not asked for must stay the only one."""
+        self._looks = self._looks + 1 if topic == self._candidate else 0
+        self._candidate = topic
+        asked_for = topic.name == self._node.resolve_topic_name("events")
+        return asked_for or self._looks >= _LOOKS_TO_SETTLE
 
     def _subscribe(self, topic: EventTopic) -> None:
         message_type = import_message_type(topic.type)
+        self._node.destroy_timer(self._timer)
+        self._statistics.clear_problem("input")
         self._callbacks.topic(topic)
         if self._callbacks.camera_info is not None:
             self._subscriptions.append(
@@ -110,11 +117,22 @@ class EventSource:
                 message_type,
                 topic.name,
                 self._callbacks.events,
-                _EVENT_QOS,
+                _event_qos(self._node, topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,
             )
         )
+
+
+def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
+    """Ask for what is offered: best effort, as drivers do, or reliable where all publishers are."""
+    offered = {p.qos_profile.reliability for p in node.get_publishers_info_by_topic(topic.name)}
+    reliable = offered == {ReliabilityPolicy.RELIABLE}
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_EVENT_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+    )
 
 
 def camera_info_topic(node: Node, topic: EventTopic) -> str:

@@ -19,6 +19,7 @@ from emoflow_ros.core.options import OptionInfo, option, options_of, replace_opt
 from emoflow_ros.errors import InputError
 
 _INT64_MAX = 2**63 - 1
+_ONLY_AT_START = ("autostart", "profile")
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -171,6 +172,7 @@ def _descriptor(info: OptionInfo) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=info.description + unit,
         additional_constraints=f"one of {', '.join(info.choices)}" if info.choices else "",
+        read_only=info.name in _ONLY_AT_START,
     )
     if isinstance(info.value, float):
         low = -math.inf if info.minimum is None else float(info.minimum)

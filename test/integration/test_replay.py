@@ -1,0 +1,158 @@
+"""Replay as a process: what it publishes, and how it refuses."""
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import MS, Peer, Processes, wait_for
+from rosbags import rosbag1
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.simulation.bags import data_topics, write_bag
+from emoflow_ros.simulation.messages import MessageEncoder
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
+
+pytestmark = pytest.mark.dds
+
+START = 1_500_000_000_000_000_000
+REPLAY = (sys.executable, "-m", "emoflow_ros.offline.replay")
+TOPIC = "/davis/left/events"
+
+
+@pytest.fixture(scope="module")
+def recording() -> SimulatedRecording:
+    return simulate("calm", duration_s=0.3, seed=1, fps=200, start_ns=START)
+
+
+@pytest.fixture(scope="module")
+def bags(recording: SimulatedRecording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bags")
+    for name, ros1 in (("ros1.bag", True), ("ros2", False)):
+        encoder = MessageEncoder(ros1=ros1)
+        write_bag(folder / name, encoder, data_topics(recording, encoder), progress=False)
+    return folder
+
+
+def counts_per_window(events: Events, duration: int) -> list[int]:
+    """Events in each window of `duration` ns that another event follows."""
+    edges = np.arange(events.t[0], events.t[-1] + 1, duration)
+    return np.diff(np.searchsorted(events.t, edges)).tolist()
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "ros2"])
+def test_replayed_events_arrive_at_the_estimator_complete(
+    peer: Peer, processes: Processes, recording: SimulatedRecording, bags: Path, name: str
+) -> None:
+    peer.node.destroy_publisher(peer.events)
+    node = processes.start_node("Recorder", "-p", "input.queue_windows:=50")
+    peer.spin_until(lambda: peer.node.count_publishers("/egomotion/twist"), "the node is there")
+    replay = processes.start(*REPLAY, str(bags / name), "--wait")
+    expected = counts_per_window(recording.events, 10 * MS)
+    peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
+    assert [int(t.twist.angular.x) for t in peer.twists] == expected
+    assert {t.twist.angular.z for t in peer.twists} == {346.0}  # the bag's camera_info
+    assert replay.wait(10.0) == 0
+    assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in processes.output(node)
+
+
+def test_clock_and_rate(peer: Peer, processes: Processes, bags: Path) -> None:
+    ticks: list[tuple[float, int]] = []
+
+    def take(message: Clock) -> None:
+        ticks.append((time.monotonic(), message.clock.sec * 10**9 + message.clock.nanosec))
+
+    peer.node.create_subscription(Clock, "/clock", take, 100)
+    peer.node.create_subscription(Imu, "/davis/left/imu", lambda _: None, 10)
+    topics = ("--topics", "/davis/left/imu")
+    replay = processes.start(
+        *REPLAY, str(bags / "ros1.bag"), "--clock", "--rate", "0.25", "--wait", *topics
+    )
+    peer.spin_until(lambda: ticks and ticks[-1][1] >= START + 280 * MS, "the clock")
+    stamps = [stamp for _, stamp in ticks]
+    assert stamps[0] == START
+    assert set(np.diff(stamps)) == {10 * MS}
+    elapsed = ticks[-1][0] - ticks[0][0]
+    assert elapsed == pytest.approx((stamps[-1] - stamps[0]) / 1e9 / 0.25, abs=0.15)
+    assert peer.events.get_subscription_count() == 0
+    assert replay.wait(10.0) == 0
+
+
+def test_interrupt_ends_the_loop(processes: Processes, bags: Path) -> None:
+    replay = processes.start(*REPLAY, str(bags / "ros2"), "--loop", "--topics", "/davis/left/imu")
+    wait_for(lambda: "100%" in processes.output(replay), "the first round")
+    replay.send_signal(signal.SIGINT)
+    started = time.monotonic()
+    assert replay.wait(5.0) == 130
+    assert time.monotonic() - started < 1.0
+    assert "Traceback" not in processes.output(replay)
+
+
+def missing(folder: Path, good: Path) -> Path:
+    return folder / "no.bag"
+
+
+def empty(folder: Path, good: Path) -> Path:
+    (folder / "empty.bag").touch()
+    return folder / "empty.bag"
+
+
+def truncated(folder: Path, good: Path) -> Path:
+    data = good.read_bytes()
+    (folder / "cut.bag").write_bytes(data[: len(data) // 2])
+    return folder / "cut.bag"
+
+
+def no_bag(folder: Path, good: Path) -> Path:
+    (folder / "text.bag").write_text("events, but not in a bag\n")
+    return folder / "text.bag"
+
+
+@pytest.mark.parametrize("make", [missing, empty, truncated, no_bag])
+def test_bad_bag_is_one_line(
+    processes: Processes, bags: Path, tmp_path: Path, make: Callable[[Path, Path], Path]
+) -> None:
+    path = make(tmp_path, bags / "ros1.bag")
+    replay = processes.start(*REPLAY, str(path))
+    assert replay.wait(20.0) == 2
+    lines = processes.output(replay).strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"error: {path}: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("--topics", "/odd"), "no topic /odd; the bag holds /davis/left/camera_info, "),
+        (("--rate", "0"), "error: --rate: 0; give a rate in [0.001, 1000]"),
+    ],
+)
+def test_bad_argument_is_one_line(
+    processes: Processes, bags: Path, arguments: tuple[str, ...], line: str
+) -> None:
+    replay = processes.start(*REPLAY, str(bags / "ros1.bag"), *arguments)
+    assert replay.wait(20.0) == 2
+    assert line in processes.output(replay).strip()
+    assert len(processes.output(replay).strip().splitlines()) == 1
+
+
+def test_types_that_are_not_installed_are_left_out(processes: Processes, tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("uint32 value", "odd_msgs/msg/Odd"))
+    with rosbag1.Writer(tmp_path / "odd.bag") as writer:
+        for topic, kind in (("/odd", "odd_msgs/msg/Odd"), ("/text", "std_msgs/msg/String")):
+            connection = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connection, START, bytes(4))
+    replay = processes.start(*REPLAY, str(tmp_path / "odd.bag"))
+    assert replay.wait(20.0) == 0
+    output = processes.output(replay)
+    assert (
+        "left out: /odd: odd_msgs/msg/Odd: the message package odd_msgs is not installed" in output
+    )
+    assert "1 messages published" in output

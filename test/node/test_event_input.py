@@ -1,0 +1,117 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import WindowPolicy
+from emoflow_ros.node.event_input import EventInput
+from emoflow_ros.node.statistics import Statistics
+from emoflow_ros.simulation.messages import EVENT_ARRAY, MessageEncoder
+
+CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+MS = 1_000_000
+
+
+class Bench:
+    """An input with what it counted and said."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        self.statistics = Statistics()
+        self.warnings: list[str] = []
+        self.input = EventInput(
+            EVENT_ARRAY,
+            WindowPolicy(duration_ms=10.0),
+            **{"frame_id": "", "statistics": self.statistics, "warn": self.warnings.append}
+            | kwargs,
+        )
+        self.input.camera = CAMERA
+        self._encoder = MessageEncoder(ros1=False)
+
+    def push(self, *times_ms: float, stamp_ms: float | None = None) -> list[Any]:
+        t = np.array([round(ms * MS) for ms in times_ms], np.int64)
+        zeros = np.zeros(len(t), np.uint16)
+        events = Events(zeros, zeros, t, zeros.astype(bool))
+        stamp = round((times_ms[0] if stamp_ms is None else stamp_ms) * MS)
+        return self.input.push(self._encoder.events(stamp, CAMERA, events))
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_windows_become_tasks_with_the_frame_of_the_messages(bench: Bench) -> None:
+    assert bench.push(1000, 1004, 1008) == []
+    [task] = bench.push(1012)
+    assert (task.window.t_start, task.window.t_end) == (1000 * MS, 1010 * MS)
+    assert len(task.window.events) == 3
+    assert task.frame_id == "davis_left_optical"
+    assert task.epoch == 0
+    assert bench.statistics.counts["events"] == 4
+    assert bench.statistics.counts["messages"] == 2
+
+
+def test_given_frame_counts_before_that_of_the_messages() -> None:
+    bench = Bench(frame_id="mine")
+    [task] = bench.push(1000, 1012)
+    assert task.frame_id == "mine"
+
+
+def test_event_time_close_to_the_stamps_is_ros_time(bench: Bench) -> None:
+    [task] = bench.push(1000, 1012, stamp_ms=1020)
+    assert task.time_offset == 0
+
+
+def test_sensor_time_is_mapped_by_the_first_stamp(bench: Bench) -> None:
+    [task] = bench.push(1000, 1012, stamp_ms=50_000)
+    assert task.time_offset == 49_000 * MS
+    [task] = bench.push(1021, stamp_ms=50_025)
+    assert task.time_offset == 49_000 * MS
+
+
+def test_jump_back_starts_an_epoch_without_the_unfinished_window(bench: Bench) -> None:
+    bench.push(5000, 5004)
+    assert bench.push(1000, 1004) == []
+    [task] = bench.push(1012)
+    assert task.epoch == 1
+    assert len(task.window.events) == 2
+    assert bench.statistics.counts["time_jumps"] == 1
+    assert bench.warnings == []
+
+
+def test_small_step_back_leaves_the_message_out(bench: Bench) -> None:
+    bench.push(1000, 1004)
+    assert bench.push(1003, 1005) == []
+    [task] = bench.push(1012)
+    assert len(task.window.events) == 2
+    assert bench.input.epoch == 0
+    assert bench.statistics.counts["unordered_messages"] == 1
+
+
+def test_disorder_within_a_message_leaves_it_out(bench: Bench) -> None:
+    assert bench.push(1000, 5000, 1001) == []
+    assert bench.input.epoch == 0
+    assert bench.statistics.counts["unordered_messages"] == 1
+    assert "out of order" in bench.warnings[0]
+
+
+def test_malformed_message_is_counted_and_said(bench: Bench) -> None:
+    assert bench.input.push(b"\x00\x01\x00\x00\x07") == []
+    assert bench.statistics.counts["malformed_messages"] == 1
+    assert "malformed" in bench.warnings[0]
+
+
+def test_new_policy_cuts_from_the_next_event_on(bench: Bench) -> None:
+    bench.push(1000, 1004)
+    bench.input.set_policy(WindowPolicy(duration_ms=2.0))
+    [task] = bench.push(1005, 1008)
+    assert (task.window.t_start, task.window.t_end) == (1005 * MS, 1007 * MS)
+
+
+def test_same_policy_does_not_lose_the_unfinished_window(bench: Bench) -> None:
+    bench.push(1000, 1004)
+    bench.input.set_policy(WindowPolicy(duration_ms=10.0))
+    [task] = bench.push(1012)
+    assert len(task.window.events) == 2

@@ -1,0 +1,97 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.estimate import Estimate, Quality, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import Window
+from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.supervisor import Result, Task
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def result() -> Callable[..., Result]:
+    def make(received: float, status: Status = Status.OK) -> Result:
+        task = Task(Window(0, 1, Events.empty()), 0, 0, "", received)
+        quality = Quality(events=1, iterations=17, stop_reason="converged")
+        return Result(task, Estimate(0, 1, 0, status, quality), None)
+
+    return make
+
+
+def test_rates_hold_since_the_last_report(clock: Clock, result: Callable[..., Result]) -> None:
+    statistics = Statistics(clock)
+    statistics.report(2.0)
+    for _ in range(4):
+        clock.now += 0.5
+        statistics.add_events(1000)
+        statistics.add_result(result(clock.now - 0.1))
+    report = statistics.report(2.0)
+    assert report.values["events_per_s"] == "2000"
+    assert report.values["windows_per_s"] == "2.00"
+    assert report.values["events"] == "4000"
+    assert (report.level, report.message) == (Level.OK, "running")
+    clock.now += 1.0
+    assert statistics.report(2.0).values["events_per_s"] == "0"
+
+
+def test_latency_percentiles(clock: Clock, result: Callable[..., Result]) -> None:
+    statistics = Statistics(clock)
+    for milliseconds in range(1, 101):
+        statistics.add_result(result(clock.now - milliseconds / 1e3))
+    values = statistics.report(2.0).values
+    expected = np.percentile(np.arange(1, 101), [50, 95])
+    assert float(values["latency_p50_ms"]) == pytest.approx(expected[0], abs=0.06)
+    assert float(values["latency_p95_ms"]) == pytest.approx(expected[1], abs=0.06)
+    assert (values["iterations"], values["stop_reason"]) == ("17", "converged")
+
+
+def test_windows_are_counted_by_status(clock: Clock, result: Callable[..., Result]) -> None:
+    statistics = Statistics(clock)
+    for status in (Status.OK, Status.OK, Status.NO_MOTION):
+        statistics.add_result(result(clock.now, status))
+    values = statistics.report(2.0).values
+    assert (values["windows_ok"], values["windows_no_motion"]) == ("2", "1")
+
+
+def test_silence_warns_until_events_come(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    clock.now += 2.5
+    report = statistics.report(2.0)
+    assert report.level is Level.WARN
+    assert report.message == "no events for 2.5 s: check the driver or the bag"
+    statistics.add_events(1)
+    assert statistics.report(2.0).level is Level.OK
+
+
+def test_loss_warns_once(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    statistics.counts["windows_dropped"] = 3
+    report = statistics.report(2.0)
+    assert report.level is Level.WARN
+    assert report.message == "3 windows dropped: the estimation is slower than the events"
+    assert statistics.report(2.0).level is Level.OK
+
+
+def test_worst_problem_is_reported_until_cleared(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    statistics.set_problem("input", Level.WARN, "waiting")
+    statistics.set_problem("camera", Level.ERROR, "no calibration")
+    assert statistics.report(2.0).message == "no calibration"
+    statistics.clear_problem("camera")
+    assert statistics.report(2.0).message == "waiting"
+    statistics.clear_problem("input")
+    assert statistics.report(2.0).level is Level.OK

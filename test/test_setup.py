@@ -1,0 +1,140 @@
+"""What set-up rests on: the package description, the locks and the launch files."""
+
+import ast
+import importlib
+import re
+import runpy
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+LOCKS = ("requirements", "requirements-ros", "requirements-messages")
+
+
+def entry_points() -> dict[str, str]:
+    text = (ROOT / "setup.py").read_text()
+    return dict(re.findall(r'f"(\w+) = \{PACKAGE\}\.([\w.]+):main"', text))
+
+
+def test_version_is_the_same_everywhere() -> None:
+    import emoflow_ros
+
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    described = re.search(r'version="([^"]+)"', (ROOT / "setup.py").read_text())
+    assert described is not None
+    assert manifest.findtext("version") == described[1] == emoflow_ros.__version__
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_lock_pins_all_requirements_and_names_no_index(name: str) -> None:
+    lock = (ROOT / f"{name}.lock").read_text().splitlines()
+    pins = dict(line.split("==") for line in lock)
+    assert all(re.fullmatch(r"[\w.+!]+", version) for version in pins.values())
+    for line in (ROOT / f"{name}.in").read_text().splitlines():
+        requirement = re.match(r"[\w-]+", line)
+        if requirement:
+            assert requirement[0].lower().replace("_", "-") in pins
+
+
+def test_locks_of_one_environment_agree() -> None:
+    first, second = (
+        dict(line.split("==") for line in (ROOT / f"{name}.lock").read_text().splitlines())
+        for name in LOCKS[:2]
+    )
+    assert {n: first[n] for n in first.keys() & second} == {
+        n: second[n] for n in first.keys() & second
+    }
+
+
+@pytest.mark.parametrize("executable", sorted(entry_points()))
+def test_executable_explains_itself(executable: str) -> None:
+    assert set(entry_points()) >= {"estimator", "replay", "evaluate", "simulate"}
+    module = f"emoflow_ros.{entry_points()[executable]}"
+    code = f"import sys; from {module} import main; sys.argv = ['x', '--help']; main()"
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert shown.returncode == 0, shown.stderr
+    assert f"usage: {executable}" in shown.stdout
+    assert len(shown.stdout.splitlines()) > 5
+
+
+def test_node_process_loads_neither_torch_nor_numba() -> None:
+    pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+    code = (
+        "import sys, emoflow_ros.node.estimator, msg_adapters; "
+        "print(sorted({'torch', 'numba'} & set(sys.modules)))"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert shown.stdout.strip() == "[]", shown.stderr
+
+
+def test_maintainer_has_a_valid_address() -> None:
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    maintainer = manifest.find("maintainer")
+    assert maintainer is not None
+    assert re.fullmatch(r"[^@\s]+@[^@\s]+\.[^@\s]+", maintainer.get("email", ""))
+
+
+class _Recorded:
+    """Stands for a class of the launch packages: keeps what it was made with."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.args, self.kwargs = args, kwargs
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.args[0]]
+
+
+@pytest.fixture
+def launch_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    contents = {
+        "launch": ["LaunchDescription"],
+        "launch.actions": ["DeclareLaunchArgument", "IncludeLaunchDescription", "OpaqueFunction"],
+        "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
+        "launch.substitutions": ["LaunchConfiguration"],
+        "launch_ros": [],
+        "launch_ros.actions": ["Node"],
+    }
+    for module, names in contents.items():
+        fake = ModuleType(module)
+        for name in names:
+            setattr(fake, name, type(name, (_Recorded,), {}))
+        monkeypatch.setitem(sys.modules, module, fake)
+
+
+@pytest.mark.usefixtures("launch_packages")
+def test_launch_of_the_estimator_passes_what_was_asked_for() -> None:
+    launched = runpy.run_path(str(ROOT / "launch" / "estimator.launch.py"))
+    [entities] = launched["generate_launch_description"]().args
+    context = {name: default for name, (default, _) in launched["ARGUMENTS"].items()}
+    [start] = [e.kwargs["function"] for e in entities if "function" in e.kwargs]
+    [node] = start(context | {"events": "/cam/events", "params_file": "my.yaml"})
+    assert node.kwargs["executable"] in entry_points()
+    assert node.kwargs["remappings"] == [("events", "/cam/events")]
+    assert node.kwargs["parameters"][1] == "my.yaml"
+    parameters = importlib.import_module("emoflow_ros.node.parameters")
+    settings = parameters.Settings(parameters.NodeOptions(), parameters.Config())
+    known = {info.name for info in parameters.table(settings)} | {"use_sim_time"}
+    assert set(node.kwargs["parameters"][0]) <= known
+
+
+@pytest.mark.usefixtures("launch_packages")
+def test_launch_of_a_replay_includes_the_estimator() -> None:
+    launched = runpy.run_path(str(ROOT / "launch" / "replay.launch.py"))
+    [entities] = launched["generate_launch_description"]().args
+    *_, include, replay = entities
+    assert Path(include.args[0].args[0]).samefile(ROOT / "launch" / "estimator.launch.py")
+    assert replay.kwargs["executable"] in entry_points()
+    flags = [a for a in replay.kwargs["arguments"] if isinstance(a, str)]
+    tree = ast.parse((ROOT / "emoflow_ros" / "offline" / "replay.py").read_text())
+    strings = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}
+    assert set(flags) <= strings
