@@ -226,7 +226,5 @@ def _inverse_2x2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return adjugate / (a * d - b * c)[..., None, None]
 
 
-def _solve_2x2(
-    matrix: NDArray[np.float64], vector: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _solve_2x2(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.einsum("...ij,...j->...i", _inverse_2x2(matrix), vector)

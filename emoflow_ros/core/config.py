@@ -7,21 +7,10 @@ from typing import Any
 
 import yaml
 
+from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import option, options_of, replace_options
 from emoflow_ros.core.windows import WindowPolicy
 from emoflow_ros.errors import InputError
-
-
-@dataclass(frozen=True)
-class LatticeConfig:
-    """How the lattice estimator fits a window (docs/method.md)."""
-
-    max_events: int = option(
-        30_000, "events used per window, spread evenly over it", minimum=1000, maximum=10_000_000
-    )
-    min_events: int = option(
-        1000, "with fewer events in a window nothing is estimated", minimum=100
-    )
 
 
 @dataclass(frozen=True)

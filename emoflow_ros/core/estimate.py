@@ -40,9 +40,7 @@ class FlowSampler(Protocol):
         """Where the pixels of time t0 are at t1, minus where they were: (height, width, 2) px."""
         ...
 
-    def tracks(
-        self, points: NDArray[np.float64], times: Sequence[int]
-    ) -> NDArray[np.float64]:
+    def tracks(self, points: NDArray[np.float64], times: Sequence[int]) -> NDArray[np.float64]:
         """Positions (len(times), N, 2) in px of points (N, 2) given at times[0]."""
         ...
 

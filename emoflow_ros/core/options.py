@@ -89,7 +89,9 @@ def _checked(name: str, value: Any, default: Any, meta: Mapping[str, Any]) -> An
     if type(value) is not kind:
         raise InputError(name, f"{value!r} is not of type {kind.__name__}", "correct the value")
     if meta["choices"] and value not in meta["choices"]:
-        raise InputError(name, f"unknown value '{value}'", f"use one of {', '.join(meta['choices'])}")
+        raise InputError(
+            name, f"unknown value '{value}'", f"use one of {', '.join(meta['choices'])}"
+        )
     if isinstance(value, int | float) and not isinstance(value, bool):
         low = -math.inf if meta["minimum"] is None else meta["minimum"]
         high = math.inf if meta["maximum"] is None else meta["maximum"]

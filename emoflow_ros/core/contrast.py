@@ -1,0 +1,168 @@
+"""Contrast of the image of warped events, with its derivatives on the lattice.
+
+The image sums the events' polarities, each divided by the square root of the event density
+around it, so that weak and strong texture count alike and events of unlike polarity do not
+attract each other. The contrast is half the sum of the squares of the smoothed image: a
+variance (Gallego et al., CVPR 2018), as signed polarities have mean zero.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core import kernels
+from emoflow_ros.core.lattice import Lattice
+
+_DENSITY_CELL = 4  # px: density is counted in cells of this size ...
+_DENSITY_SIGMA = 2.0  # ... and smoothed by this many of them
+_DENSITY_FLOOR = 0.1  # share of the mean density, so that lone events stay weak
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class WindowEvents:
+    """Events of one window as the kernels take them.
+
+    Attributes:
+        x, y: (N,) px.
+        s: (N,) time in [0, 1] over the window.
+        weights: (N,) polarity (+-1) over the square root of the density around.
+    """
+
+    x: F32
+    y: F32
+    s: F32
+    weights: F32
+
+    @classmethod
+    def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
+        """Weigh events by their polarity and density."""
+        column = x.astype(np.intp) // _DENSITY_CELL
+        row = y.astype(np.intp) // _DENSITY_CELL
+        columns, rows = int(column.max()) + 1, int(row.max()) + 1
+        cell = row * columns + column
+        count = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
+        density = count.astype(np.float32)
+        taps = gaussian(_DENSITY_SIGMA)
+        support = np.ones_like(density)
+        scratch = np.empty_like(density)
+        kernels.blur(density, taps, scratch, density)
+        kernels.blur(support, taps, scratch, support)
+        density = density / support + np.float32(_DENSITY_FLOOR * count.mean())
+        size = _DENSITY_CELL / np.sqrt(density.ravel()[cell])
+        return cls(x, y, s, np.where(on, size, -size).astype(np.float32))
+
+    def every(self, step: int) -> "WindowEvents":
+        """Thin out to each step-th event; the weights make up for it."""
+        x, y, s, weights = (
+            np.ascontiguousarray(c[::step]) for c in (self.x, self.y, self.s, self.weights)
+        )
+        return WindowEvents(x, y, s, weights * np.float32(np.sqrt(step)))
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+def gaussian(sigma: float) -> F32:
+    """Half of a sampled Gaussian with sum 1, from the centre outwards to 2.5 sigma."""
+    taps = np.exp(-0.5 * (np.arange(int(np.ceil(2.5 * sigma)) + 1) / sigma) ** 2)
+    return (taps / (2 * taps.sum() - taps[0])).astype(np.float32)
+
+
+class Contrast:
+    """The contrast at one image scale, and the buffers that it needs.
+
+    Args:
+        lattice: the flow field's lattice.
+        scale: image pixels per sensor pixel.
+        sigma: of the Gaussian, in image pixels.
+    """
+
+    def __init__(self, lattice: Lattice, scale: float, sigma: float = 1.0) -> None:
+        self.lattice = lattice
+        self.scale = np.float32(scale)
+        self._area = float(scale) ** 2  # makes contrasts of all scales alike
+        self._taps = gaussian(sigma)
+        margin = 2 * kernels.MARGIN
+        shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
+        self.image = np.zeros(shape, np.float32)
+        self._scratch = np.zeros(shape, np.float32)
+        cells = (lattice.columns - 1, lattice.rows - 1, lattice.times - 1)
+        self._gradient = np.zeros((*cells, 2, 8), np.float32)
+        self._curvature = np.zeros((*cells, 3, 8, 8), np.float32)
+
+    def sharpen(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> tuple[float, F32]:
+        """Draw the smoothed image of the events warped to `ref` into `self.image`.
+
+        Returns:
+            The contrast and the warped positions (2, N) px.
+        """
+        position = np.empty((2, len(events)), np.float32)
+        acceleration = self.lattice.acceleration(flow)
+        kernels.warp(
+            events.x, events.y, events.s, np.float32(ref), flow, acceleration,
+            self.lattice.per_px, position,
+        )  # fmt: skip
+        return self.score(events, position), position
+
+    def score(self, events: WindowEvents, position: F32) -> float:
+        """Contrast of events at given positions (2, N) px."""
+        kernels.vote(position, events.weights, self.scale, self.image)
+        kernels.blur(self.image, self._taps, self._scratch, self.image)
+        flat = self.image.ravel()
+        return 0.5 * self._area * float(flat @ flat)
+
+    def linearise(
+        self,
+        events: WindowEvents,
+        flow: F32,
+        vector: NDArray[np.float64],
+        band: NDArray[np.float64],
+        ref: float = 0.5,
+    ) -> float:
+        """Add the contrast's gradient and curvature at a field to the normal equations.
+
+        Seen from the middle of the window the image that the events climb stays in place
+        while the flow changes, so that their stiffness alone is the right curvature.
+
+        Returns:
+            The contrast.
+        """
+        contrast, position = self.sharpen(events, flow, ref)
+        kernels.blur(self.image, self._taps, self._scratch, self.image)  # now the potential
+        self._gradient[:] = 0.0
+        self._curvature[:] = 0.0
+        kernels.pull(
+            events.x, events.y, events.s, events.weights, np.float32(ref), position,
+            self.image, self.scale, self.lattice.per_px, self._gradient, self._curvature,
+        )  # fmt: skip
+        kernels.gather_cells(self._gradient, self._curvature, self._area, vector, band)
+        return contrast
+
+
+def best_constant_flow(contrast: Contrast, events: WindowEvents, reach: float) -> F32:
+    """Search the constant flow of highest contrast, (2,) px per window.
+
+    Args:
+        contrast: at a coarse scale.
+        events: a few thousand suffice.
+        reach: largest displacement per window that is tried, px.
+    """
+    position = np.empty((2, len(events)), np.float32)
+    lever = np.float32(0.5) - events.s
+
+    def score(flow: tuple[float, float]) -> float:
+        position[0] = events.x + lever * np.float32(flow[0])
+        position[1] = events.y + lever * np.float32(flow[1])
+        return contrast.score(events, position)
+
+    step = 2.0 / float(contrast.scale)
+    steps = np.arange(-int(reach / step), int(reach / step) + 1) * step
+    best = max(((u, v) for u in steps for v in steps), key=score)
+    while step > 1.0:
+        step /= 2
+        around = (-step, 0.0, step)
+        best = max(((best[0] + a, best[1] + b) for a in around for b in around), key=score)
+    return np.array(best, np.float32)

@@ -1,0 +1,331 @@
+"""The hot path: warp, vote, blur and the pull of the contrast on the lattice, in numba.
+
+Positions are in pixels of the sensor, times s in [0, 1] over the window, lattice values in
+px per window. Images have a margin, so that events warped across the border still count.
+The tests hold slow references: autograd for the gradient, sums over pairs for the band.
+"""
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+MARGIN = 12  # px of the sensor around the image of warped events
+
+_fast = numba.njit(cache=True, fastmath=True, nogil=True)
+
+
+@_fast
+def cell_of(position: float, cells: int) -> tuple[int, float]:
+    """Split a lattice coordinate into the cell's index and the fraction inside it."""
+    cell = min(int(position), cells - 1)
+    return cell, position - cell
+
+
+@_fast
+def warp(
+    x: F32, y: F32, s: F32, ref: float, flow: F32, acceleration: F32, per_px: F32, out: F32
+) -> None:
+    """Warp events to the time `ref` along the flow, second order in time.
+
+    x' = x + dt u(s, x) + dt^2 / 2 a(x) with dt = ref - s: one Taylor step of
+    dx/ds = u(s, x), a being the flow's material derivative.
+
+    Args:
+        x, y, s: (N,) events.
+        ref: reference time in [0, 1].
+        flow: (columns, rows, times, 2).
+        acceleration: (columns, rows, 2), px per window squared.
+        per_px: (2,) lattice cells per pixel in x and y.
+        out: (2, N) warped positions in px, written.
+    """
+    columns, rows, times, _ = flow.shape
+    for k in range(len(x)):
+        c, fx = cell_of(x[k] * per_px[0], columns - 1)
+        r, fy = cell_of(y[k] * per_px[1], rows - 1)
+        q, ft = cell_of(s[k] * (times - 1), times - 1)
+        w00 = (1 - fx) * (1 - fy)
+        w01 = (1 - fx) * fy
+        w10 = fx * (1 - fy)
+        w11 = fx * fy
+        dt = ref - s[k]
+        for d in range(2):
+            early = (
+                w00 * flow[c, r, q, d]
+                + w01 * flow[c, r + 1, q, d]
+                + w10 * flow[c + 1, r, q, d]
+                + w11 * flow[c + 1, r + 1, q, d]
+            )
+            late = (
+                w00 * flow[c, r, q + 1, d]
+                + w01 * flow[c, r + 1, q + 1, d]
+                + w10 * flow[c + 1, r, q + 1, d]
+                + w11 * flow[c + 1, r + 1, q + 1, d]
+            )
+            bend = (
+                w00 * acceleration[c, r, d]
+                + w01 * acceleration[c, r + 1, d]
+                + w10 * acceleration[c + 1, r, d]
+                + w11 * acceleration[c + 1, r + 1, d]
+            )
+            out[d, k] = dt * (early + ft * (late - early) + 0.5 * dt * bend)
+        out[0, k] += x[k]
+        out[1, k] += y[k]
+
+
+@_fast
+def vote(position: F32, weights: F32, scale: float, image: F32) -> None:
+    """Add weighted events to an image by bilinear voting; the image is cleared first.
+
+    Args:
+        position: (2, N) px of the sensor; what lies outside the margin is left out.
+        weights: (N,).
+        scale: image pixels per sensor pixel.
+        image: (h, w), written.
+    """
+    h, w = image.shape
+    image[:] = 0.0
+    shift = (MARGIN + 0.5) * scale - 0.5
+    for k in range(position.shape[1]):
+        px = position[0, k] * scale + shift
+        py = position[1, k] * scale + shift
+        if px >= 1 and py >= 1 and px < w - 2 and py < h - 2:
+            i = int(py)
+            j = int(px)
+            fy = py - i
+            fx = px - j
+            below = weights[k] * fy
+            above = weights[k] - below
+            image[i, j] += above * (1 - fx)
+            image[i, j + 1] += above * fx
+            image[i + 1, j] += below * (1 - fx)
+            image[i + 1, j + 1] += below * fx
+
+
+@_fast
+def blur(image: F32, taps: F32, scratch: F32, out: F32) -> None:
+    """Convolve with a symmetric separable kernel, zero outside.
+
+    Args:
+        image, scratch, out: (h, w); `out` may be `image`.
+        taps: (radius + 1,), from the centre outwards.
+    """
+    h, w = image.shape
+    for i in range(h):
+        source = image[i]
+        target = scratch[i]
+        for j in range(w):
+            target[j] = taps[0] * source[j]
+        for r in range(1, len(taps)):
+            for j in range(w - r):
+                target[j] += taps[r] * source[j + r]
+            for j in range(r, w):
+                target[j] += taps[r] * source[j - r]
+    for i in range(h):
+        target = out[i]
+        centre = scratch[i]
+        for j in range(w):
+            target[j] = taps[0] * centre[j]
+        for r in range(1, len(taps)):
+            if i + r < h:
+                below = scratch[i + r]
+                for j in range(w):
+                    target[j] += taps[r] * below[j]
+            if i - r >= 0:
+                above = scratch[i - r]
+                for j in range(w):
+                    target[j] += taps[r] * above[j]
+
+
+@_fast
+def pull(
+    x: F32,
+    y: F32,
+    s: F32,
+    weights: F32,
+    ref: float,
+    position: F32,
+    potential: F32,
+    scale: float,
+    per_px: F32,
+    gradient: F32,
+    curvature: F32,
+) -> None:
+    """Add each event's pull, and its stiffness, to its lattice cell.
+
+    An event at x' climbs the potential: its gradient is that of the bilinear interpolant
+    (so the sum is the exact derivative of the contrast), its stiffness the negative Hessian
+    there, cut to its positive semidefinite part.
+
+    Args:
+        x, y, s, weights: (N,) events as they were voted.
+        ref, position: the reference time and the (2, N) positions warped to it.
+        potential: (h, w), see `contrast.Contrast`.
+        scale: image pixels per sensor pixel.
+        per_px: (2,) lattice cells per pixel.
+        gradient: (columns - 1, rows - 1, times - 1, 2, 8), added to; the last axis counts
+            the cell's nodes with time innermost and the column outermost.
+        curvature: (columns - 1, rows - 1, times - 1, 3, 8, 8), added to: xx, xy, yy.
+    """
+    h, w = potential.shape
+    cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
+    shift = (MARGIN + 0.5) * scale - 0.5
+    node = np.empty(8, np.float32)
+    for k in range(len(x)):
+        px = position[0, k] * scale + shift
+        py = position[1, k] * scale + shift
+        if not (px >= 1 and py >= 1 and px < w - 2 and py < h - 2):
+            continue
+        i = int(py)
+        j = int(px)
+        fy = py - i
+        fx = px - j
+        p00 = potential[i, j]
+        p01 = potential[i, j + 1]
+        p10 = potential[i + 1, j]
+        p11 = potential[i + 1, j + 1]
+        dt = (ref - s[k]) * scale
+        lever = weights[k] * dt
+        gx = lever * ((1 - fy) * (p01 - p00) + fy * (p11 - p10))
+        gy = lever * ((1 - fx) * (p10 - p00) + fx * (p11 - p01))
+        i = int(py + 0.5)
+        j = int(px + 0.5)
+        lever *= dt
+        twice = 2 * potential[i, j]
+        xx = lever * (twice - potential[i, j - 1] - potential[i, j + 1])
+        yy = lever * (twice - potential[i - 1, j] - potential[i + 1, j])
+        xy = (0.25 * lever) * (
+            potential[i - 1, j + 1]
+            + potential[i + 1, j - 1]
+            - potential[i - 1, j - 1]
+            - potential[i + 1, j + 1]
+        )
+        mean = 0.5 * (xx + yy)
+        half = 0.5 * (xx - yy)
+        root = np.sqrt(half * half + xy * xy)
+        if mean < root:  # one eigenvalue, or both, below zero
+            keep = 0.5 * max(mean + root, np.float32(0.0)) / max(root, np.float32(1e-20))
+            xx = keep * (root + half)
+            yy = keep * (root - half)
+            xy = keep * xy
+        c, fx = cell_of(x[k] * per_px[0], cells_x)
+        r, fy = cell_of(y[k] * per_px[1], cells_y)
+        q, ft = cell_of(s[k] * cells_t, cells_t)
+        node[0] = (1 - fx) * (1 - fy) * (1 - ft)
+        node[1] = (1 - fx) * (1 - fy) * ft
+        node[2] = (1 - fx) * fy * (1 - ft)
+        node[3] = (1 - fx) * fy * ft
+        node[4] = fx * (1 - fy) * (1 - ft)
+        node[5] = fx * (1 - fy) * ft
+        node[6] = fx * fy * (1 - ft)
+        node[7] = fx * fy * ft
+        g = gradient[c, r, q]
+        h_cell = curvature[c, r, q]
+        for a in range(8):
+            g[0, a] += node[a] * gx
+            g[1, a] += node[a] * gy
+            ax = node[a] * xx
+            axy = node[a] * xy
+            ay = node[a] * yy
+            for b in range(8):
+                h_cell[0, a, b] += ax * node[b]
+                h_cell[1, a, b] += axy * node[b]
+                h_cell[2, a, b] += ay * node[b]
+
+
+@numba.njit(cache=True, nogil=True)
+def gather_cells(gradient: F32, curvature: F32, factor: float, vector: F64, band: F64) -> None:
+    """Add the cells' gradients and curvatures to the lattice's vector and band matrix.
+
+    Args:
+        gradient, curvature: as `pull` fills them; multiplied by `factor`.
+        vector: (n,), n = columns * rows * times * 2.
+        band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
+    """
+    cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
+    rows, times = cells_y + 1, cells_t + 1
+    offset = np.empty(8, np.int64)
+    for c in range(cells_x):
+        for r in range(cells_y):
+            for q in range(cells_t):
+                for a in range(8):
+                    column, row, time = c + (a >> 2), r + ((a >> 1) & 1), q + (a & 1)
+                    offset[a] = 2 * ((column * rows + row) * times + time)
+                g = gradient[c, r, q]
+                h = curvature[c, r, q]
+                for a in range(8):
+                    i = offset[a]
+                    vector[i] += factor * g[0, a]
+                    vector[i + 1] += factor * g[1, a]
+                    for b in range(a + 1):  # offsets grow with the node: the lower triangle
+                        j = offset[b]
+                        d = i - j
+                        cross = factor * h[1, a, b]
+                        band[j, d] += factor * h[0, a, b]
+                        band[j + 1, d] += factor * h[2, a, b]
+                        band[j, d + 1] += cross
+                        if b < a:
+                            band[j + 1, d - 1] += cross
+
+
+@numba.njit(cache=True, nogil=True)
+def add_stencil(
+    flow: F64, nodes: NDArray[np.int64], coefficients: F64, weight: float, limit: float,
+    vector: F64, band: F64,
+) -> None:  # fmt: skip
+    """Add a robust penalty on linear combinations of neighbouring nodes.
+
+    Charbonnier: weight * limit^2 * sqrt(1 + |z|^2 / limit^2) with z the combination of the
+    flow's (u, v) over all times, linearised as in iteratively reweighted least squares.
+
+    Args:
+        flow: (nodes, times, 2).
+        nodes: (M, K) indices of the nodes in each combination.
+        coefficients: (K,).
+        weight: stiffness of small differences.
+        limit: px per window, above which a difference counts as an edge.
+        vector, band: as in `gather_cells`; the vector gets the negative gradient.
+    """
+    times = flow.shape[1]
+    z = np.empty((times, 2))
+    for m in range(len(nodes)):
+        z[:] = 0.0
+        for k in range(nodes.shape[1]):
+            for q in range(times):
+                for d in range(2):
+                    z[q, d] += coefficients[k] * flow[nodes[m, k], q, d]
+        stiffness = weight / np.sqrt(1 + (z * z).sum() / (times * limit * limit))
+        for k in range(nodes.shape[1]):
+            for q in range(times):
+                for d in range(2):
+                    i = (nodes[m, k] * times + q) * 2 + d
+                    vector[i] -= stiffness * coefficients[k] * z[q, d]
+                    for l in range(k + 1):
+                        j = (nodes[m, l] * times + q) * 2 + d
+                        pair = stiffness * coefficients[k] * coefficients[l]
+                        if i >= j:
+                            band[j, i - j] += pair
+                        else:
+                            band[i, j - i] += pair
+
+
+@numba.njit(cache=True, nogil=True)
+def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) -> None:
+    """Add a quadratic penalty on the flow's change from one time node to the next.
+
+    Args:
+        flow: (nodes, times, 2); weight, vector, band as in `add_stencil`.
+    """
+    nodes, times, _ = flow.shape
+    for n in range(nodes):
+        for q in range(times - 1):
+            for d in range(2):
+                j = (n * times + q) * 2 + d
+                change = weight * (flow[n, q + 1, d] - flow[n, q, d])
+                vector[j] += change
+                vector[j + 2] -= change
+                band[j, 0] += weight
+                band[j + 2, 0] += weight
+                band[j, 2] -= weight

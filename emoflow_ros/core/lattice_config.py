@@ -1,0 +1,86 @@
+"""Options of the lattice estimator."""
+
+from dataclasses import dataclass
+
+from emoflow_ros.core.options import option
+
+
+@dataclass(frozen=True)
+class LatticeConfig:
+    """How the lattice estimator fits a window; docs/method.md explains each option."""
+
+    max_events: int = option(
+        30_000, "events used per window, spread evenly over it", minimum=1000, maximum=10_000_000
+    )
+    min_events: int = option(1500, "fewer events in a window give no estimate", minimum=100)
+    spacing_px: float = option(
+        26.0, "distance of the flow lattice's nodes", unit="px", minimum=8.0, maximum=200.0
+    )
+    smoothness: float = option(
+        0.7, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
+    )
+    edge_px: float = option(
+        0.4,
+        "second difference of the flow above which it counts as an edge of depth",
+        unit="px per window",
+        minimum=1e-3,
+        maximum=100.0,
+    )
+    smoothness_in_time: float = option(
+        1.0, "weight of the flow's change within the window", minimum=1e-3, maximum=1e3
+    )
+    dec_weight: float = option(
+        20.0,
+        "weight of the differential epipolar constraint on the flow",
+        minimum=1e-3,
+        maximum=1e6,
+    )
+    dec_inlier_px: float = option(
+        0.7,
+        "residual of the constraint at which a node counts half: moving objects drop out",
+        unit="px per window",
+        minimum=1e-2,
+        maximum=100.0,
+    )
+    spline_roughness: float = option(
+        1.0, "weight of the curvature of the egomotion's spline", minimum=0.0, maximum=1e6
+    )
+    warm_iterations: int = option(
+        3, "steps at full resolution after a warm start", minimum=1, maximum=100
+    )
+    cold_iterations: int = option(
+        6, "steps at full resolution after a cold start", minimum=1, maximum=100
+    )
+    deadline_ms: float = option(
+        0.0,
+        "no further step is begun after this time in a warm window; 0 means no deadline",
+        unit="ms",
+        minimum=0.0,
+        maximum=60_000.0,
+    )
+    model: str = option(
+        "auto",
+        "motion model: decided by the evidence, or fixed",
+        choices=("auto", "full", "rotation"),
+    )
+    direction_drift: float = option(
+        30.0,
+        "random walk of the direction of travel between windows: less drift is more memory, "
+        "steadier and later",
+        unit="deg per square root of a second",
+        minimum=0.1,
+        maximum=1e4,
+    )
+    angular_drift: float = option(
+        100.0,
+        "random walk of the angular velocity between windows",
+        unit="deg/s per square root of a second",
+        minimum=0.1,
+        maximum=1e5,
+    )
+    min_contrast_gain: float = option(
+        1.08,
+        "contrast of the warped over that of the unwarped events below which nothing moves",
+        minimum=1.0,
+        maximum=10.0,
+    )

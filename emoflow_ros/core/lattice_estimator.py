@@ -1,0 +1,280 @@
+"""The real-time estimator: a warm-started lattice fit per window."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.contrast import WindowEvents, best_constant_flow
+from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.lattice_fit import TO_MIDDLE, FreeFlow, LatticeFit, MotionPrior
+from emoflow_ros.core.normal_equations import NotPositiveDefiniteError
+from emoflow_ros.core.selection import ModelSelector
+from emoflow_ros.core.spline import SplineMotion
+from emoflow_ros.core.windows import NS_PER_S, Window
+
+Array = NDArray[np.float64]
+
+_COARSE_EVENTS = 10_000  # are enough at reduced resolution
+_SEARCH_EVENTS = 6_000
+_SEARCH_REACH_PX = 48.0
+_EXTRAPOLATION = 0.5  # share of the flow's change in a window that is believed to go on
+_MAX_GAP_S = 0.3  # longer silence ends a warm start
+_CONVERGED_PX = 0.01
+_SWITCH = 0.8  # another direction of v must explain the flow this much better
+
+
+@dataclass(frozen=True)
+class _Last:
+    """The previous window, as far as it starts the next one."""
+
+    t_start: int
+    t_end: int
+    flow: NDArray[np.float32]
+    motion: Motion
+    belief: Belief | None
+
+
+class LatticeEstimator:
+    """Fits flow lattice and egomotion spline to one window after another (an Estimator).
+
+    Args:
+        camera: with its lens.
+        config: see LatticeConfig.
+    """
+
+    def __init__(self, camera: Camera, config: LatticeConfig) -> None:
+        self.camera = camera
+        self.config = config
+        self.lattice = Lattice.with_spacing(camera.width, camera.height, config.spacing_px)
+        self._epipolar = NodeEpipolar(camera, self.lattice, config.dec_inlier_px)
+        self._fit = LatticeFit(self.lattice, self._epipolar, config)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget previous windows: the next one starts cold."""
+        self._last: _Last | None = None
+        self._selector = ModelSelector()
+
+    def estimate(self, window: Window) -> Estimate:
+        """Fit flow and egomotion to one window."""
+        self._started = time.perf_counter()
+        self._iterations = 0
+        events = self._prepare(window)
+        if events is None:
+            return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
+        last = self._last
+        warm = last is not None and 0 <= window.t_end - last.t_end <= _MAX_GAP_S * NS_PER_S
+        try:
+            if warm and last is not None:
+                stop = self._fit_warm(window, events, last)
+            else:
+                self.reset()
+                stop = self._fit_cold(events)
+        except NotPositiveDefiniteError:
+            return self._nothing(window, len(events), Status.DIVERGED)
+        gain = self._contrast_gain(events)
+        if gain < self.config.min_contrast_gain:
+            return self._nothing(window, len(events), Status.NO_MOTION, gain)
+        return self._result(window, len(events), stop, gain, warm)
+
+    def _prepare(self, window: Window) -> WindowEvents | None:
+        """Take the window's events, thinned evenly to max_events; None if they are too few."""
+        events = window.events
+        inside = events.inside(self.camera.width, self.camera.height)
+        if not inside.all():
+            events = events[inside]
+        if len(events) < self.config.min_events:
+            return None
+        if len(events) > self.config.max_events:
+            events = events[
+                np.arange(self.config.max_events) * len(events) // self.config.max_events
+            ]
+        s = ((events.t - window.t_start) / (window.t_end - window.t_start)).astype(np.float32)
+        return WindowEvents.prepare(
+            events.x.astype(np.float32), events.y.astype(np.float32), s, events.p
+        )
+
+    def _fit_cold(self, events: WindowEvents) -> str:
+        """Search a constant flow, refine it from coarse to fine, then add the egomotion."""
+        fit = self._fit
+        few = events.every(max(1, len(events) // _SEARCH_EVENTS))
+        fit.flow = np.zeros(self.lattice.shape, np.float32)
+        fit.flow += best_constant_flow(fit.contrasts[0.25], few, _SEARCH_REACH_PX)
+        fit.motion = None
+        for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
+            for _ in range(steps):
+                fit.linearise(events, scale)
+                fit.step_free()
+                self._iterations += 1
+        free = fit.free_flow(fit.linearise(events, 1.0))
+        v, w, cost = self._epipolar.search(free.flow, free.information)
+        best = int(cost.argmin())
+        fit.motion = Motion.constant(w[best], v[best])
+        self._select(free, v[best], w[best])
+        return self._refine(events, self.config.cold_iterations, None)
+
+    def _fit_warm(self, window: Window, events: WindowEvents, last: _Last) -> str:
+        """Predict flow and motion from the last window, and correct them coarse to fine."""
+        fit = self._fit
+        ratio = (window.t_end - window.t_start) / (last.t_end - last.t_start)
+        ahead = (
+            0.5
+            * (window.t_start + window.t_end - last.t_start - last.t_end)
+            / (last.t_end - last.t_start)
+        )  # in windows
+        mean = last.flow.mean(axis=2, keepdims=True)
+        change = last.flow[:, :, -1:] - last.flow[:, :, :1]
+        nodes = (np.linspace(0, 1, self.lattice.times) - 0.5) * ratio + ahead
+        slope = _EXTRAPOLATION * change * nodes[:, None].astype(np.float32)
+        fit.flow = ((mean + slope) * ratio).astype(np.float32)
+        w, v = last.motion.at(1.0)
+        fit.motion = Motion.constant(w * ratio, v)
+        prior = self._prior(window, last)
+        few = events.every(max(1, len(events) // _COARSE_EVENTS))
+        for scale, steps in ((0.25, 2), (0.5, 1)):
+            for _ in range(steps):
+                fit.linearise(few, scale)
+                self._step(prior)
+        return self._refine(events, self.config.warm_iterations, prior)
+
+    def _prior(self, window: Window, last: _Last) -> MotionPrior | None:
+        """Carry the belief over to the middle of the window, in its units."""
+        if last.belief is None:
+            return None
+        information = last.belief.predicted_information(
+            (window.t_start + window.t_end) // 2,
+            np.radians(self.config.angular_drift),
+            np.radians(self.config.direction_drift),
+        )
+        unit = np.repeat([window.duration, 1.0], 3)
+        mean = unit * np.concatenate([last.belief.w, last.belief.v])
+        return MotionPrior(mean, information / np.outer(unit, unit))
+
+    def _refine(self, events: WindowEvents, steps: int, prior: MotionPrior | None) -> str:
+        """Step at full resolution; before the last step check motion model and direction."""
+        fit = self._fit
+        stop = "iterations"
+        for k in range(steps):
+            last = k == steps - 1 or fit.step_px < _CONVERGED_PX
+            if k > 0 and prior is not None and self._late():
+                stop, last = "deadline", True
+            information = fit.linearise(events, 1.0)
+            if last and self._reconsider(fit.free_flow(information)):
+                self._step(None)
+                fit.linearise(events, 1.0)
+                prior = None
+            self._step(prior)
+            if last:
+                break
+        return "converged" if fit.step_px < _CONVERGED_PX else stop
+
+    def _step(self, prior: MotionPrior | None) -> None:
+        if self._selector.model is MotionModel.ROTATION:
+            self._fit.step_rotation()
+        else:
+            self._fit.step_coupled(prior)
+        self._iterations += 1
+
+    def _late(self) -> bool:
+        deadline = self.config.deadline_ms
+        return deadline > 0 and (time.perf_counter() - self._started) * 1e3 > deadline
+
+    def _reconsider(self, free: FreeFlow) -> bool:
+        """Check the free flow for another motion; return whether the fit must go on with it."""
+        fit = self._fit
+        assert fit.motion is not None
+        present = fit.motion.at(0.5)[1]
+        v, w, cost = self._epipolar.search(free.flow, free.information, also=present)
+        best = int(cost.argmin())
+        rotates = self._selector.model is MotionModel.ROTATION
+        switch = best != 0 and (rotates or cost[best] < _SWITCH * cost[0])
+        if switch:
+            direction = v[best] if v[best] @ present >= 0 else -v[best]
+            fit.motion = Motion.constant(w[best], direction)
+        else:
+            direction = present
+        before = self._selector.model
+        return self._select(free, direction, w[best if switch else 0]) is not before or (
+            switch and not rotates
+        )
+
+    def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
+        self._selector.update(self._epipolar, free, w, v)
+        if self.config.model != "auto":
+            self._selector.model = MotionModel(self.config.model)
+        return self._selector.model
+
+    def _contrast_gain(self, events: WindowEvents) -> float:
+        contrast = self._fit.contrasts[1.0]
+        sharp, _ = contrast.sharpen(events, self._fit.flow)
+        return sharp / contrast.score(events, np.stack([events.x, events.y]))
+
+    def _result(self, window: Window, used: int, stop: str, gain: float, warm: bool) -> Estimate:
+        fit = self._fit
+        assert fit.motion is not None
+        full = self._selector.model is MotionModel.FULL
+        front = np.sign(self._selector.agreement) if full else 0.0
+        w, v = fit.motion.at(0.5)
+        unit = np.repeat([window.duration, 1.0], 3)
+        middle = (window.t_start + window.t_end) // 2
+        reduced = np.linalg.inv(TO_MIDDLE @ np.linalg.inv(fit.information) @ TO_MIDDLE.T)
+        belief = Belief.from_information(
+            middle, w / window.duration, v, reduced * np.outer(unit, unit)
+        )
+        self._last = _Last(
+            window.t_start, window.t_end, fit.flow, fit.motion, belief if full else None
+        )
+        covariance = belief.across()
+        if not full:
+            covariance[:3], covariance[:, :3] = 0.0, 0.0
+            covariance[0, 0] = -1.0
+        residual = self._epipolar.residuals(
+            fit.flow.reshape(-1, self.lattice.times, 2).astype(np.float64), fit.motion
+        ).r[self._epipolar.usable]
+        scale = 1.4826 * float(np.median(np.abs(residual)))
+        return Estimate(
+            window.t_start,
+            window.t_end,
+            middle,
+            Status.OK,
+            Quality(
+                events=used,
+                iterations=self._iterations,
+                stop_reason=stop,
+                contrast_gain=gain,
+                residual_px=scale,
+                inlier_fraction=float(np.mean(np.abs(residual) <= 3 * scale)),
+                runtime_s=time.perf_counter() - self._started,
+                warm=warm,
+            ),
+            self._selector.model,
+            front * v,
+            w / window.duration,
+            covariance,
+            LatticeFlow(self.lattice, fit.flow, window.t_start, window.t_end),
+            SplineMotion(
+                window.t_start, window.t_end, fit.motion.w / window.duration, front * fit.motion.v
+            ),
+        )
+
+    def _nothing(
+        self, window: Window, used: int, status: Status, gain: float = float("nan")
+    ) -> Estimate:
+        """Report a window without a confident estimate; the next one starts cold."""
+        self.reset()
+        quality = Quality(
+            events=used,
+            iterations=self._iterations,
+            stop_reason=str(status),
+            contrast_gain=gain,
+            runtime_s=time.perf_counter() - self._started,
+        )
+        middle = (window.t_start + window.t_end) // 2
+        return Estimate(window.t_start, window.t_end, middle, status, quality)

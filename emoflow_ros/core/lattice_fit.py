@@ -1,0 +1,186 @@
+"""Fit of a window: Newton steps on contrast, smoothness and DEC, flow and motion at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.spline import CONTROL_POINTS, basis
+
+Array = NDArray[np.float64]
+
+SCALES = (0.25, 0.5, 1.0)
+_RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
+
+# w and v in the middle of the window from the control points (w, then v), (6, 24).
+TO_MIDDLE = np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3)))
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """What earlier windows say about the motion in the middle of this one.
+
+    Attributes:
+        mean: (6,) w in rad per window, v.
+        information: (6, 6).
+    """
+
+    mean: Array
+    information: Array
+
+
+@dataclass(frozen=True)
+class FreeFlow:
+    """The flow as the events alone see it, one step without the epipolar constraint.
+
+    Attributes:
+        flow: (nodes, 2) px per window, the mean over the window.
+        information: (nodes, 2, 2) of the events on it.
+    """
+
+    flow: Array
+    information: Array
+
+
+class LatticeFit:
+    """The unknowns of a window and the steps that improve them.
+
+    Attributes:
+        flow: (columns, rows, times, 2) px per window.
+        motion: the egomotion, or None before the flow is good enough to look for it.
+        information: (24, 24) on the motion's control points after the last coupled step.
+        step_px: root mean square of the last step of the flow.
+    """
+
+    def __init__(self, lattice: Lattice, epipolar: NodeEpipolar, config: LatticeConfig) -> None:
+        self.lattice = lattice
+        self.epipolar = epipolar
+        self.config = config
+        self.contrasts = {scale: Contrast(lattice, scale) for scale in SCALES}
+        self.flow = np.zeros(lattice.shape, np.float32)
+        self.motion: Motion | None = None
+        self.information = np.zeros((6 * CONTROL_POINTS, 6 * CONTROL_POINTS))
+        self.step_px = 0.0
+        self._equations = NormalEquations(lattice)
+        second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
+        first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
+        self._roughness = np.kron(second.T @ second + 0.1 * first.T @ first, np.eye(3))
+
+    @property
+    def _node_flow(self) -> Array:
+        return self.flow.reshape(-1, self.lattice.times, 2).astype(np.float64)
+
+    def linearise(self, events: WindowEvents, scale: float) -> Array:
+        """Set up the normal equations of contrast and smoothness at the present flow.
+
+        Returns:
+            The events' information on each node, (nodes, 2, 2).
+        """
+        equations, config = self._equations, self.config
+        equations.clear()
+        contrast = self.contrasts[scale]
+        contrast.linearise(events, self.flow, equations.vector, equations.band)
+        information = equations.node_information()
+        equations.band[:, 0] += _RIDGE
+        self.lattice.smoothness(
+            self.flow, config.smoothness, config.edge_px, config.smoothness_in_time,
+            equations.vector, equations.band,
+        )  # fmt: skip
+        return information
+
+    def free_flow(self, information: Array) -> FreeFlow:
+        """Solve the present normal equations without the epipolar constraint."""
+        step = self._equations.solve().reshape(-1, self.lattice.times, 2)
+        return FreeFlow((self._node_flow + step).mean(axis=1), information)
+
+    def step_free(self) -> None:
+        """Step the flow by contrast and smoothness alone."""
+        self._move(self._equations.solve())
+
+    def step_rotation(self) -> None:
+        """Step the flow towards a pure rotation, and the rotation towards the flow."""
+        epipolar = self.epipolar
+        motion = self._require_motion()
+        flow = self._node_flow
+        rotation = epipolar.rotational_flow(motion)
+        residual = flow - rotation
+        weight = self.config.dec_weight * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
+        equations = self._equations
+        by_w = -epipolar.rotational_jacobian()  # (nodes, times, 2, 12)
+        corner = self._roughness * self._rotation_stiffness
+        corner_vector = -corner @ motion.w.ravel()
+        border = np.zeros((self.lattice.unknowns, 3 * CONTROL_POINTS))
+        for d in range(2):
+            axis = np.zeros((*weight.shape, 2))
+            axis[..., d] = 1.0
+            equations.add_rows(axis, weight, residual[..., d])
+            rows = by_w[:, :, d]
+            weighted = weight[..., None] * rows
+            border[d::2] = weighted.reshape(-1, 3 * CONTROL_POINTS)
+            corner += np.einsum("nti,ntj->ij", weighted, rows)
+            corner_vector -= np.einsum("nti,nt->i", weighted, residual[..., d])
+        step, change, information = equations.solve_bordered(border, corner, corner_vector)
+        half = 3 * CONTROL_POINTS
+        self.information[:] = np.eye(2 * half)
+        self.information[:half, :half] = information
+        self.motion = motion.moved(np.concatenate([change, np.zeros(half)]))
+        self._move(step)
+
+    def step_coupled(self, prior: MotionPrior | None) -> None:
+        """Step flow and egomotion together, tied by the epipolar constraint."""
+        motion = self._require_motion()
+        residuals = self.epipolar.residuals(self._node_flow, motion)
+        weight = self.config.dec_weight * self.epipolar.robust_weight(residuals.r)
+        self._equations.add_rows(residuals.normal, weight, residuals.r)
+        weighted = weight[..., None] * residuals.by_motion
+        unknowns = 6 * CONTROL_POINTS
+        border = (residuals.normal[..., None] * weighted[:, :, None, :]).reshape(-1, unknowns)
+        rows = residuals.by_motion.reshape(-1, unknowns)
+        corner = weighted.reshape(-1, unknowns).T @ rows
+        corner_vector = -weighted.reshape(-1, unknowns).T @ residuals.r.ravel()
+        self._add_motion_priors(motion, prior, corner, corner_vector)
+        step, change, self.information = self._equations.solve_bordered(
+            border, corner, corner_vector
+        )
+        self.motion = motion.moved(change)
+        self._move(step)
+
+    @property
+    def _rotation_stiffness(self) -> float:
+        return self.config.spline_roughness * self.epipolar.px_per_rad**2
+
+    def _add_motion_priors(
+        self, motion: Motion, prior: MotionPrior | None, corner: Array, corner_vector: Array
+    ) -> None:
+        """Add the spline's smoothness, v's scale and the belief of earlier windows."""
+        half = 3 * CONTROL_POINTS
+        # v has no unit of its own: its stiffness goes by the evidence at hand.
+        evidence = float(np.trace(corner[half:, half:])) / half
+        for part, points, stiffness in (
+            (slice(0, half), motion.w, self._rotation_stiffness),
+            (slice(half, None), motion.v, self.config.spline_roughness * evidence),
+        ):
+            corner[part, part] += stiffness * self._roughness
+            corner_vector[part] -= stiffness * self._roughness @ points.ravel()
+        mean = np.tile(motion.v.mean(axis=0), CONTROL_POINTS) / CONTROL_POINTS
+        corner[half:, half:] += evidence * np.outer(mean, mean)
+        if prior is not None:
+            present = TO_MIDDLE @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
+            corner += TO_MIDDLE.T @ prior.information @ TO_MIDDLE
+            corner_vector -= TO_MIDDLE.T @ prior.information @ (present - prior.mean)
+        diagonal = np.diag_indices_from(corner)
+        corner[diagonal] += 1e-6 * corner[diagonal] + 1e-9
+
+    def _move(self, step: Array) -> None:
+        self.step_px = float(np.sqrt(np.mean(step**2)))
+        self.flow = (self.flow + step.reshape(self.lattice.shape)).astype(np.float32)
+
+    def _require_motion(self) -> Motion:
+        if self.motion is None:
+            raise ValueError("coupled steps need a motion to start from")
+        return self.motion
