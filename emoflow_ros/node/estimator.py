@@ -18,6 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from emoflow_ros.cli import run
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
@@ -201,6 +202,7 @@ class EstimatorNode(LifecycleNode):
         self._input = EventInput(
             topic.type,
             settings.config.window,
+            timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,
             statistics=self._statistics,
             warn=lambda line: self.get_logger().warning(line, throttle_duration_sec=_THROTTLE_S),

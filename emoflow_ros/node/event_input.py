@@ -4,10 +4,10 @@ import time
 from collections.abc import Callable
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import (
     NS_PER_MS,
-    NS_PER_S,
     TimeJumpError,
     Window,
     WindowPolicy,
@@ -19,8 +19,6 @@ from msg_adapters import DecodeError, EventMessage, make_decoder
 
 # A step back in time of less than this is disorder, more is another run of the recording.
 _DISORDER = 100 * NS_PER_MS
-# Event times closer than this to the stamps are ROS time, others a clock of the sensor's own.
-_SAME_CLOCK = NS_PER_S
 
 
 class EventInput:
@@ -29,6 +27,7 @@ class EventInput:
     Args:
         ros_type: as in `dvs_msgs/msg/EventArray`.
         policy: how windows are cut.
+        timestamps: which time the output is stamped with.
         frame_id: the camera's frame; empty takes that of the messages.
         statistics: counts what comes and what is lost.
         warn: says what is wrong with the messages; called for each of them.
@@ -46,6 +45,7 @@ class EventInput:
         ros_type: str,
         policy: WindowPolicy,
         *,
+        timestamps: Timestamps,
         frame_id: str,
         statistics: Statistics,
         warn: Callable[[str], None],
@@ -57,7 +57,7 @@ class EventInput:
         self._frame_id = frame_id
         self._statistics = statistics
         self._warn = warn
-        self._offset: int | None = None
+        self._clock = ClockMap(timestamps)
 
     def set_policy(self, policy: WindowPolicy) -> None:
         """Cut the events from now on differently; those of an unfinished window are left out."""
@@ -79,11 +79,12 @@ class EventInput:
             return []
         received = time.monotonic()
         windows = self._slice(events)
-        if self._offset is None:
-            offset = message.stamp - int(events.t[0])
-            self._offset = offset if abs(offset) > _SAME_CLOCK else 0
+        self._clock.observe(int(events.t[0]), message.stamp)
         frame_id = self._frame_id or message.frame_id
-        return [Task(w, self.epoch, self._offset, frame_id, received) for w in windows]
+        return [
+            Task(w, self.epoch, self._clock.offset((w.t_start + w.t_end) // 2), frame_id, received)
+            for w in windows
+        ]
 
     def _inside(self, message: EventMessage) -> Events:
         """Return the message's events that lie on the sensor."""
@@ -114,7 +115,7 @@ class EventInput:
                 return self._leave_out(str(jump))
         self.epoch += 1
         self._statistics.counts["time_jumps"] += 1
-        self._offset = None
+        self._clock.reset()
         self._decoder.reset()
         self._slicer.reset()
         return self._slicer.push(events)

@@ -14,6 +14,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.options import OptionInfo, option, options_of, replace_options
 from emoflow_ros.errors import InputError
@@ -30,6 +31,12 @@ class InputOptions:
 
     type: str = option(
         "", "message type of the topic `events`; empty takes the type that is published"
+    )
+    timestamps: str = option(
+        "fused",
+        "time of the output: the events' own times mapped to ROS time with their drift tracked "
+        "(fused), mapped by each message's stamp (header), or unchanged (sensor)",
+        choices=tuple(Timestamps),
     )
     queue_windows: int = option(
         8, "windows that may wait for the worker; one more drops the oldest", minimum=1, maximum=100
@@ -113,7 +120,7 @@ def is_dynamic(name: str) -> bool:
     How windows are cut and estimated takes effect with the next window; the rest decides what
     the node connects to when it is configured.
     """
-    return name.startswith(("window.", "estimator."))
+    return name not in _ONLY_AT_START and not name.startswith(("input.", "camera.", "output."))
 
 
 class NodeParameters:

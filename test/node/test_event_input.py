@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import WindowPolicy
 from emoflow_ros.node.event_input import EventInput
@@ -23,7 +24,12 @@ class Bench:
         self.input = EventInput(
             EVENT_ARRAY,
             WindowPolicy(duration_ms=10.0),
-            **{"frame_id": "", "statistics": self.statistics, "warn": self.warnings.append}
+            **{
+                "timestamps": Timestamps.FUSED,
+                "frame_id": "",
+                "statistics": self.statistics,
+                "warn": self.warnings.append,
+            }
             | kwargs,
         )
         self.input.camera = CAMERA
@@ -67,8 +73,14 @@ def test_event_time_close_to_the_stamps_is_ros_time(bench: Bench) -> None:
 def test_sensor_time_is_mapped_by_the_first_stamp(bench: Bench) -> None:
     [task] = bench.push(1000, 1012, stamp_ms=50_000)
     assert task.time_offset == 49_000 * MS
-    [task] = bench.push(1021, stamp_ms=50_025)
+    [task] = bench.push(1021, stamp_ms=50_025)  # a delay of 4 ms more
     assert task.time_offset == 49_000 * MS
+
+
+def test_sensor_time_is_kept_on_request() -> None:
+    bench = Bench(timestamps=Timestamps.SENSOR)
+    [task] = bench.push(1000, 1012, stamp_ms=50_000)
+    assert task.time_offset == 0
 
 
 def test_jump_back_starts_an_epoch_without_the_unfinished_window(bench: Bench) -> None:

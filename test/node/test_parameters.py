@@ -143,7 +143,8 @@ def test_unknown_parameter_cannot_be_set(make_node: Callable[..., Any]) -> None:
         node.set_parameters([Parameter("window.duration", value=1.0)])
 
 
-def test_only_windows_and_estimation_are_dynamic() -> None:
+def test_what_the_node_connects_to_is_not_dynamic() -> None:
     settings = Settings(NodeOptions(), Config())
     dynamic = {i.name.partition(".")[0] for i in table(settings) if is_dynamic(i.name)}
-    assert dynamic == {"window", "estimator"}
+    assert {"window", "estimator"} <= dynamic
+    assert dynamic.isdisjoint({"input", "camera", "output", "profile", "autostart"})
