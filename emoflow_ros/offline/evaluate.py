@@ -11,6 +11,7 @@ import yaml
 from emoflow_ros import cli
 from emoflow_ros.core.config import load_config
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline import compare
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.evaluation import Evaluation, evaluate
 from emoflow_ros.offline.protocols import PROTOCOLS, WINDOWS, make_plan
@@ -29,6 +30,7 @@ examples:
   evaluate shapes_rotation/ --window-ms 98 --out out/shapes
   evaluate indoor_flying1_data.hdf5 --sequence indoor_flying1 --protocol mvsec-dt4 \\
            --gt indoor_flying1_gt.bag indoor_flying1_gt_flow_dist.npz
+  evaluate compare out/run1 out/run2     (runs side by side; evaluate compare --help)
 
 writes into DIR: report.html, report.json, windows.csv and estimates.h5 (docs/estimates_file.md).
 exit codes: 0 done, 1 no window could be estimated, 2 bad input, 130 interrupted (what was done
@@ -38,7 +40,10 @@ until then is written).
 
 def main() -> int:
     """Entry point."""
-    return cli.run(lambda: _run(_parse(sys.argv[1:])))
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["compare"]:
+        return cli.run(lambda: compare.main(arguments[1:]))
+    return cli.run(lambda: _run(_parse(arguments)))
 
 
 def _parse(arguments: Ordered[str]) -> argparse.Namespace:

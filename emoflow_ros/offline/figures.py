@@ -1,6 +1,6 @@
 """The charts of the report: one function draws one figure."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -110,6 +110,28 @@ def error_histograms(windows: Sequence[WindowResult]) -> Figure | None:
         ax.set_xlabel(unit)
         ax.yaxis.get_major_locator().set_params(integer=True)
     axes[0].set_ylabel("windows")
+    return figure
+
+
+@style
+def runs_over_time(
+    runs: Sequence[tuple[str, Mapping[tuple[float, float], float]]], name: str, unit: str
+) -> Figure | None:
+    """One error of several runs, each as (name, value per window in s); None without values."""
+    starts = [start for _, series in runs for start, _ in series]
+    if not starts:
+        return None
+    figure = Figure(figsize=(10, 2.8), layout="constrained")
+    ax = figure.subplots()
+    for run, series in runs:
+        windows = sorted(series)
+        middles = np.array([(start + end) / 2 for start, end in windows]) - min(starts)
+        values = np.array([series[window] for window in windows])
+        ax.plot(middles, values, label=run, **_line(values))
+    ax.set_ylim(0, None)
+    ax.set_ylabel(f"{name}, {unit}")
+    ax.set_xlabel("time since the first window, s")
+    ax.legend(ncols=len(runs), loc="upper right")
     return figure
 
 

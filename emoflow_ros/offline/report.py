@@ -1,22 +1,18 @@
 """Write an evaluation's results: report.json, windows.csv and one self-contained report.html."""
 
-import base64
 import csv
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-from matplotlib.figure import Figure
 
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline import figures
+from emoflow_ros.offline.document import without_nan, write_json
 from emoflow_ros.offline.evaluation import Evaluation
+from emoflow_ros.offline.html import png_uri, render, svg_uri
 from emoflow_ros.offline.panels import window_panels
 from emoflow_ros.offline.provenance import machine, versions
 from emoflow_ros.offline.results import MIN_TRUE_RATE, MIN_TRUE_SPEED, WindowResult
@@ -63,8 +59,7 @@ def write_report(
         "windows": rows,
     }
     json_path, html_path = folder / "report.json", folder / "report.html"
-    text = json.dumps(_without_nan(document), indent=1, ensure_ascii=False)
-    json_path.write_text(text, encoding="utf-8")
+    write_json(json_path, document)
     _write_csv(folder / "windows.csv", rows)
     html_path.write_text(_html(run, measures, facts, configuration), encoding="utf-8")
     return html_path, json_path
@@ -107,7 +102,7 @@ def window_row(window: WindowResult) -> dict[str, Any]:
         "runtime_s": window.quality.runtime_s,
         "note": window.note,
     }
-    return {name: _without_nan(value) for name, value in row.items()}
+    return {name: without_nan(value) for name, value in row.items()}
 
 
 def _facts(run: Evaluation) -> dict[str, Any]:
@@ -137,24 +132,21 @@ def _html(
     facts: Mapping[str, Any],
     configuration: Mapping[str, Any],
 ) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(_template), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    environment.filters |= {"number": format_number, "degrees": math.degrees}
     charts = [
-        ("Egomotion over time", _svg(figures.twist_over_time(run.windows))),
-        ("Errors over time", _svg(figures.errors_over_time(run.windows))),
-        ("Distribution of the errors over windows", _svg(figures.error_histograms(run.windows))),
+        ("Egomotion over time", figures.twist_over_time(run.windows)),
+        ("Errors over time", figures.errors_over_time(run.windows)),
+        ("Distribution of the errors over windows", figures.error_histograms(run.windows)),
     ]
     examples = [
-        (example, _png(window_panels(example, run.camera, run.truth)))
+        (example, png_uri(window_panels(example, run.camera, run.truth)))
         for example in run.gallery.examples()
     ]
-    return environment.get_template(_TEMPLATE).render(
+    return render(
+        _TEMPLATE,
         name=run.source.name,
         facts=facts,
         measures=measures,
-        charts=[(title, data) for title, data in charts if data],
+        charts=[(title, svg_uri(figure)) for title, figure in charts if figure],
         examples=examples,
         windows=_table(run.windows),
         windows_left_out=max(0, len(run.windows) - _MAX_TABLE_ROWS),
@@ -169,32 +161,6 @@ def _table(windows: Sequence[WindowResult]) -> list[WindowResult]:
     """The rows that are shown: an even selection of a long run."""
     step = math.ceil(len(windows) / _MAX_TABLE_ROWS)
     return list(windows[::step])
-
-
-def _template(name: str) -> str:
-    path = resources.files("emoflow_ros.offline").joinpath("templates", name)
-    return path.read_text(encoding="utf-8")
-
-
-def format_number(value: float | None, digits: int = 2) -> str:
-    """Format with a fixed number of digits; a dash where there is no value."""
-    if value is None or not math.isfinite(value):
-        return "\N{EN DASH}"
-    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
-
-
-def _svg(figure: Figure | None) -> str | None:
-    if figure is None:
-        return None
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _png(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def _measure_entry(measure: Measure) -> dict[str, Any]:
@@ -216,14 +182,3 @@ def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         table = csv.DictWriter(file, fieldnames=list(rows[0]))
         table.writeheader()
         table.writerows(rows)
-
-
-def _without_nan(value: Any) -> Any:
-    """Replace what JSON has no word for by None, at any depth."""
-    if isinstance(value, Mapping):
-        return {name: _without_nan(v) for name, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

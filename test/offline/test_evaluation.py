@@ -13,9 +13,10 @@ from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import evaluate
+from emoflow_ros.offline.html import format_number
 from emoflow_ros.offline.iwe import event_image, warped_image
 from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.report import format_number, write_report
+from emoflow_ros.offline.report import write_report
 from emoflow_ros.offline.summary import bootstrap_interval, summarise
 from emoflow_ros.offline.truth import load_truth
 from emoflow_ros.offline.truth.rotation import ConstantRotation
