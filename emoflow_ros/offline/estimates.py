@@ -65,14 +65,16 @@ class EstimatesWriter:
     """Write estimates row by row; after each row the file is complete. Use as a context manager.
 
     Args:
-        path: the file; an existing one is replaced.
+        path: the file.
         camera: of the recording.
         source: what was estimated from, for the reader's information.
         configuration: option values by dotted name.
         save_flow: whether to store the dense displacement of every window, too.
+        keep: how many rows of an existing file to keep (written with the same arguments); with 0
+            it is replaced.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or has fewer rows than to keep.
     """
 
     def __init__(
@@ -83,11 +85,15 @@ class EstimatesWriter:
         source: str,
         configuration: Mapping[str, Any],
         save_flow: bool = False,
+        keep: int = 0,
     ) -> None:
         try:
-            self._file = h5py.File(path, "w")
+            self._file = h5py.File(path, "r+" if keep else "w")
         except OSError as error:
             raise InputError(path, f"cannot be written ({error})", "give another --out") from None
+        if keep:
+            self._truncate(path, keep)
+            return
         self._file.attrs.update(
             {
                 "format": FORMAT,
@@ -151,6 +157,13 @@ class EstimatesWriter:
         trace: TracebackType | None,
     ) -> None:
         self._file.close()
+
+    def _truncate(self, path: Path, rows: int) -> None:
+        if len(self._file["t_start_ns"]) < rows:
+            self._file.close()
+            raise InputError(path, f"has fewer than {rows} rows", "start again without --resume")
+        for dataset in self._file.values():
+            dataset.resize(rows, axis=0)
 
     def _create(
         self, name: str, column: _Column, chunk: tuple[int, ...], **storage: object

@@ -9,12 +9,14 @@ from typing import Any
 import yaml
 
 from emoflow_ros import cli
-from emoflow_ros.core.config import load_config
+from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline import compare
+from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter
-from emoflow_ros.offline.evaluation import Evaluation, evaluate
-from emoflow_ros.offline.protocols import PROTOCOLS, WINDOWS, make_plan
+from emoflow_ros.offline.evaluation import Evaluation, proceed
+from emoflow_ros.offline.protocols import PROTOCOLS, WINDOWS, Plan, make_plan
+from emoflow_ros.offline.provenance import versions
 from emoflow_ros.offline.readers import Recording, open_recording, require_camera
 from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.report import write_report
@@ -111,6 +113,11 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         metavar="DIR",
         help="folder for the results (default: out/<name of INPUT>)",
     )
+    add(
+        "--resume",
+        action="store_true",
+        help="continue the interrupted run in DIR exactly where it was saved (every 10 s)",
+    )
     add("--save-flow", action="store_true", help="store the dense flow of each window, too")
     return parser.parse_args(arguments)
 
@@ -124,33 +131,51 @@ def _run(options: argparse.Namespace) -> int:
         truth = load_truth(recording, options.gt)
         plan = make_plan(options.protocol, recording, truth, config.window, sequence)
         _make_folder(folder)
+        checkpoint = Checkpoint(folder / "checkpoint.pickle", _identity(options, config, plan))
+        done = checkpoint.load() if options.resume else None
         # Loads torch and numba, which --help and bad input need not wait for.
         from emoflow_ros.core.factory import make_estimator
 
-        estimator = make_estimator(camera, config)
+        progress = done or Progress(make_estimator(camera, config), plan.slicer)
         with EstimatesWriter(
             folder / "estimates.h5",
             camera=camera,
             source=str(options.input),
             configuration=config.flat(),
             save_flow=options.save_flow,
+            keep=len(progress.windows),
         ) as writer:
-            run = evaluate(
+            run = proceed(
                 recording,
-                estimator,
-                plan.slicer,
+                progress,
                 plan.truth,
                 protocol=plan.description,
                 writer=writer,
-                progress=True,
+                checkpoint=checkpoint,
+                progress_bar=True,
             )
     if not run.windows:  # interrupted before the first one was done
         raise KeyboardInterrupt
     report, _ = write_report(run, config.flat(), folder)
     _print_summary(run, report)
     if run.interrupted:
+        print("interrupted; the same command with --resume continues", file=sys.stderr)
         return cli.EXIT_INTERRUPTED
     return 0 if any(w.ok for w in run.windows) else _EXIT_NOTHING_ESTIMATED
+
+
+def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[str, Any]:
+    """What has to be the same for a run to be continued."""
+    return {
+        "input": str(options.input.resolve()),
+        "topic": options.topic,
+        "calibration": str(options.calib),
+        "truth": plan.truth.description,
+        "protocol": plan.description,
+        "configuration": config.flat(),
+        "choice of --save-flow": options.save_flow,
+        "version": versions(),
+    }
 
 
 def _open(options: argparse.Namespace, sequence: Sequence | None) -> Recording:

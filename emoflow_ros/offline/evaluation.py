@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from tqdm import tqdm
 
@@ -12,19 +11,14 @@ from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.checkpoint import Checkpoint, Progress, Slicer
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.gallery import Gallery
 from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.results import WindowResult, assess
 from emoflow_ros.offline.truth import Truth
 
-
-class Slicer(Protocol):
-    """Cuts a stream of events into windows, as core.windows.WindowSlicer does."""
-
-    def push(self, events: Events) -> list[Window]:
-        """Take the next events and return the windows they complete."""
-        ...
+_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}{postfix}]"
 
 
 @dataclass
@@ -60,12 +54,9 @@ def evaluate(
     *,
     protocol: str = "",
     writer: EstimatesWriter | None = None,
-    progress: bool = False,
+    progress_bar: bool = False,
 ) -> Evaluation:
     """Estimate every window of a recording and compare it with the truth.
-
-    A window in which the estimator raises an exception is recorded as failed and the next one
-    starts cold. Ctrl-C ends the run and keeps what is done.
 
     Args:
         recording: opened, with a camera.
@@ -74,71 +65,123 @@ def evaluate(
         truth: may be empty.
         protocol: the slicer's windows in words, for the report.
         writer: receives every estimate, if given.
-        progress: whether to show a bar over the recording's time.
+        progress_bar: whether to show a bar over the recording's time.
 
     Raises:
         InputError: no camera, damaged data, or not one whole window.
     """
-    camera = require_camera(recording)
-    run = Evaluation(recording.path, recording.topic, camera, truth, protocol)
+    return proceed(
+        recording,
+        Progress(estimator, slicer),
+        truth,
+        protocol=protocol,
+        writer=writer,
+        progress_bar=progress_bar,
+    )
+
+
+def proceed(
+    recording: Recording,
+    progress: Progress,
+    truth: Truth,
+    *,
+    protocol: str = "",
+    writer: EstimatesWriter | None = None,
+    checkpoint: Checkpoint | None = None,
+    progress_bar: bool = False,
+) -> Evaluation:
+    """Do what is left of an evaluation; see `evaluate`.
+
+    A window in which the estimator raises an exception is recorded with it and the next one
+    starts cold. Ctrl-C ends the run and keeps what is done.
+
+    Args:
+        progress: a new run's, or that of a checkpoint.
+        checkpoint: where progress is saved now and then, and removed at the end.
+    """
+    run = Evaluation(
+        recording.path,
+        recording.topic,
+        require_camera(recording),
+        truth,
+        protocol,
+        progress.windows,
+        progress.gallery,
+    )
     with tqdm(
         total=recording.duration and round(recording.duration, 3),
         desc=recording.path.name,
         unit="s",
-        disable=not progress,
-        bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s "
-        "[{elapsed}<{remaining}{postfix}]",
+        disable=not progress_bar,
+        bar_format=_BAR,
     ) as bar:
         try:
-            for window in _windows(recording, slicer, bar):
-                result = _process(run, window, estimator, writer)
-                run.windows.append(result)
-                bar.set_postfix_str(_progress_line(run))
+            for window in _windows(recording, progress):
+                _process(progress, window, truth, writer)
+                if checkpoint is not None:
+                    checkpoint.save_if_due(progress)
+                bar.set_postfix_str(_progress_line(run), refresh=False)
+                bar.update((window.t_end - (progress.first or 0)) / NS_PER_S - bar.n)
         except KeyboardInterrupt:
             run.interrupted = True
+    if checkpoint is not None and not run.interrupted:
+        checkpoint.remove()
     return run
 
 
-def _windows(recording: Recording, slicer: Slicer, bar: tqdm) -> Iterator[Window]:  # type: ignore[type-arg]
-    """Yield the windows of a recording.
+def _windows(recording: Recording, progress: Progress) -> Iterator[Window]:
+    """Yield the windows that are left, the pending ones first.
 
     Raises:
-        InputError: the recording ends before the first one is complete.
+        InputError: the recording ends before the first window is complete.
     """
-    first = last = None
-    found = False
-    for events in recording.event_chunks():
-        if len(events) == 0:
-            continue
-        first = int(events.t[0]) if first is None else first
+    last = progress.first
+    yield from _pending(progress)
+    for events in _skip(recording.event_chunks(), progress.events):
+        if progress.first is None:
+            progress.first = int(events.t[0])
         last = int(events.t[-1])
-        for window in slicer.push(events):
-            found = True
-            yield window
-            bar.update((window.t_end - first) / NS_PER_S - bar.n)
-    if not found and first is not None and last is not None:
+        progress.pending.extend(progress.slicer.push(events))
+        progress.events += len(events)
+        yield from _pending(progress)
+    if not progress.windows and progress.first is not None and last is not None:
         raise InputError(
             recording.path,
-            f"its events span {(last - first) / NS_PER_MS:.1f} ms, less than one window",
+            f"its events span {(last - progress.first) / NS_PER_MS:.1f} ms, less than one window",
             "give a shorter one with --window-ms",
         )
 
 
+def _pending(progress: Progress) -> Iterator[Window]:
+    while progress.pending:
+        yield progress.pending[0]
+
+
+def _skip(chunks: Iterator[Events], count: int) -> Iterator[Events]:
+    """Leave out the first `count` events and empty chunks."""
+    for events in chunks:
+        if len(events) > count:
+            yield events[count:]
+        count = max(0, count - len(events))
+
+
 def _process(
-    run: Evaluation, window: Window, estimator: Estimator, writer: EstimatesWriter | None
-) -> WindowResult:
+    progress: Progress, window: Window, truth: Truth, writer: EstimatesWriter | None
+) -> None:
+    """Estimate and assess the first pending window."""
     note = ""
     try:
-        estimate = estimator.estimate(window)
+        estimate = progress.estimator.estimate(window)
     except Exception as error:  # one window must not cost the others
         note = f"{type(error).__name__}: {error}"
         estimate = _no_estimate(window)
-        estimator.reset()
-    result = assess(len(run.windows), window, estimate, run.truth, note)
+        progress.estimator.reset()
+    result = assess(len(progress.windows), window, estimate, truth, note)
     if writer is not None:
         writer.append(estimate)
-    run.gallery.offer(window, estimate, result)
-    return result
+    progress.gallery.offer(window, estimate, result)
+    progress.windows.append(result)
+    progress.pending.popleft()
 
 
 def _no_estimate(window: Window) -> Estimate:

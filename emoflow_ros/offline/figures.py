@@ -42,8 +42,10 @@ Array = NDArray[np.float64]
 
 
 @style
-def twist_over_time(windows: Sequence[WindowResult]) -> Figure:
-    """Angular velocity and direction of linear velocity, each axis against its truth."""
+def twist_over_time(windows: Sequence[WindowResult]) -> Figure | None:
+    """Angular velocity and direction of linear velocity against truth; None for one window."""
+    if len(windows) < 2:
+        return None
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="col")
     t = middle_times(windows)
@@ -76,8 +78,8 @@ def twist_over_time(windows: Sequence[WindowResult]) -> Figure:
 
 @style
 def errors_over_time(windows: Sequence[WindowResult]) -> Figure | None:
-    """Errors per window; None where nothing has a truth."""
-    rows = [row for row in error_series(windows) if np.isfinite(row[2]).any()]
+    """Errors per window; None where fewer than two have a truth."""
+    rows = [row for row in error_series(windows) if np.isfinite(row[2]).sum() > 1]
     if not rows:
         return None
     figure = Figure(figsize=(10, 1.5 * len(rows) + 0.5), layout="constrained")

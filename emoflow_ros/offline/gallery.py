@@ -1,7 +1,7 @@
 """The few windows of an evaluation whose pictures go into the report."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import Window
@@ -61,6 +61,8 @@ class Gallery:
         """Best, median and worst window, each shown once."""
         if self._best is None or self._worst is None:
             return []
+        if self._best is self._worst:
+            return [replace(self._best, title="The window")]
         ranked = sorted(self._sample, key=_error)
         named = {
             "Best window": self._best,
@@ -69,8 +71,7 @@ class Gallery:
         }
         shown: dict[int, Example] = {}
         for title, example in named.items():
-            entry = Example(title, example.window, example.estimate, example.result)
-            shown.setdefault(example.result.index, entry)
+            shown.setdefault(example.result.index, replace(example, title=title))
         return list(shown.values())
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.evaluation import Slicer
+from emoflow_ros.offline.checkpoint import Slicer
 from emoflow_ros.offline.frames import frame_stamps
 from emoflow_ros.offline.readers import Recording
 from emoflow_ros.offline.sequences import Sequence

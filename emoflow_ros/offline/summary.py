@@ -103,6 +103,12 @@ def _effort(windows: Sequence[WindowResult]) -> list[Measure]:
             "",
             [w.quality.contrast_gain for w in done],
         ),
+        _measure(
+            "warm_runtime_p50_ms",
+            "Time per warm window, median",
+            "ms",
+            [1000 * w.quality.runtime_s for w in done if w.quality.warm],
+        ),
         _measure("runtime_p50_ms", "Time per window, median", "ms", milliseconds),
         _measure("runtime_p95_ms", "Time per window, 95 %", "ms", milliseconds, _percentile_95),
     ]

@@ -181,8 +181,8 @@ def test_report_holds_the_values(folder, tmp_path):
     assert float(rows[0]["epe_px"]) == pytest.approx(5.0, abs=1e-5)
 
     html = html_path.read_text()
-    assert "Flow EPE</td><td>5.00</td>" in html
-    assert "4 of 5 windows have an estimate" in html
+    assert 'Flow EPE</td><td class="value">5.00</td>' in html
+    assert "4 of 5 with an estimate" in html
     assert "ValueError: singular matrix" in html
     assert "window.duration_ms" in html
     assert html.count("data:image/png;base64,") >= 1
