@@ -16,6 +16,7 @@ from emoflow_ros.core.lattice import Lattice
 
 _DENSITY_CELL = 4  # px: density is counted in cells of this size ...
 _DENSITY_SIGMA = 2.0  # ... and smoothed by this many of them
+_STIFFNESS_STRIDE = 2  # events per event whose stiffness is taken: the most costly part
 _DENSITY_FLOOR = 0.1  # share of the mean density, so that lone events stay weak
 
 F32 = NDArray[np.float32]
@@ -82,8 +83,8 @@ class Contrast:
 
     def __init__(self, lattice: Lattice, scale: float, sigma: float = 1.0) -> None:
         self.lattice = lattice
-        self.scale = np.float32(scale)
-        self._area = float(scale) ** 2  # makes contrasts of all scales alike
+        self.scale = scale
+        self._area = scale**2  # makes contrasts of all scales alike
         self._taps = gaussian(sigma)
         margin = 2 * kernels.MARGIN
         shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
@@ -91,7 +92,7 @@ class Contrast:
         self._scratch = np.zeros(shape, np.float32)
         cells = (lattice.columns - 1, lattice.rows - 1, lattice.times - 1)
         self._gradient = np.zeros((*cells, 2, 8), np.float32)
-        self._curvature = np.zeros((*cells, 3, 8, 8), np.float32)
+        self._curvature = np.zeros((*cells, 8, 3, 8), np.float32)
 
     def sharpen(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> tuple[float, F32]:
         """Draw the smoothed image of the events warped to `ref` into `self.image`.
@@ -102,7 +103,7 @@ class Contrast:
         position = np.empty((2, len(events)), np.float32)
         acceleration = self.lattice.acceleration(flow)
         kernels.warp(
-            events.x, events.y, events.s, np.float32(ref), flow, acceleration,
+            events.x, events.y, events.s, ref, flow, acceleration,
             self.lattice.per_px, position,
         )  # fmt: skip
         return self.score(events, position), position
@@ -135,8 +136,9 @@ class Contrast:
         self._gradient[:] = 0.0
         self._curvature[:] = 0.0
         kernels.pull(
-            events.x, events.y, events.s, events.weights, np.float32(ref), position,
-            self.image, self.scale, self.lattice.per_px, self._gradient, self._curvature,
+            events.x, events.y, events.s, events.weights, ref, position,
+            self.image, self.scale, self.lattice.per_px, _STIFFNESS_STRIDE,
+            self._gradient, self._curvature,
         )  # fmt: skip
         kernels.gather_cells(self._gradient, self._curvature, self._area, vector, band)
         return contrast
@@ -158,7 +160,7 @@ def best_constant_flow(contrast: Contrast, events: WindowEvents, reach: float) -
         position[1] = events.y + lever * np.float32(flow[1])
         return contrast.score(events, position)
 
-    step = 2.0 / float(contrast.scale)
+    step = 2.0 / contrast.scale
     steps = np.arange(-int(reach / step), int(reach / step) + 1) * step
     best = max(((u, v) for u in steps for v in steps), key=score)
     while step > 1.0:

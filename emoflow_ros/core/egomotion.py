@@ -18,7 +18,7 @@ from emoflow_ros.core.spline import CONTROL_POINTS, basis
 
 Array = NDArray[np.float64]
 
-_DIRECTIONS = 100  # of v over the hemisphere, about 14 degrees apart
+_DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
 _REWEIGHTINGS = 4
 
 
@@ -89,9 +89,10 @@ class NodeEpipolar:
         self.inlier_px = inlier_px
         self._basis = basis(np.linspace(0, 1, lattice.times))
         # Near the focus of expansion the line's direction is undefined: fade it out there.
-        self._directions = _hemisphere(_DIRECTIONS)
         self.px_per_rad = float(np.sqrt(camera.fx * camera.fy))
         self._soft = 1e-3 * self.px_per_rad
+        self._directions = _hemisphere(_DIRECTIONS)
+        self._normals = self._normal_fields(self._directions)
 
     def robust_weight(self, r: Array) -> Array:
         """Geman-McClure weights of residuals in px per window."""
@@ -127,9 +128,7 @@ class NodeEpipolar:
         jacobian = np.einsum("tk,nij->ntikj", self._basis, self.b)
         return jacobian.reshape(*jacobian.shape[:3], -1)
 
-    def search(
-        self, flow: Array, information: Array, also: Array | None = None
-    ) -> tuple[Array, Array, Array]:
+    def search(self, flow: Array, information: Array) -> tuple[Array, Array, Array]:
         """Score constant motions against a flow, over all directions of v.
 
         For a given v the residual is linear in w: robust least squares for each of the
@@ -138,46 +137,68 @@ class NodeEpipolar:
         Args:
             flow: (nodes, 2) px per window.
             information: (nodes, 2, 2), inverse covariance of the flow.
-            also: (3,) one more direction, put in front.
 
         Returns:
             v (M, 3) unit, w (M, 3) rad per window and the robust costs (M,).
         """
-        v = self._directions if also is None else np.vstack([also, self._directions])
-        line = np.einsum("nij,hj->hni", self.a, v)
-        norm = np.sqrt((line**2).sum(-1, keepdims=True) + self._soft**2)
-        normal = np.stack([-line[..., 1], line[..., 0]], -1) / norm
-        rows = np.einsum("hni,nij->hnj", normal, self.b)
-        target = np.einsum("hni,ni->hn", normal, flow)
-        evidence = self.usable * np.einsum("hni,nij,hnj->hn", normal, information, normal)
-        weight = evidence
-        for _ in range(_REWEIGHTINGS):
-            weighted = rows * weight[..., None]
-            matrix = np.einsum("hni,hnj->hij", weighted, rows) + 1e-9 * np.eye(3)
-            w = np.linalg.solve(matrix, np.einsum("hni,hn->hi", weighted, target)[..., None])
-            r2 = ((target - np.einsum("hnj,hjx->hn", rows, w)) / self.inlier_px) ** 2
-            weight = evidence / (1 + r2) ** 2
-        cost = self.inlier_px**2 * (evidence * r2 / (1 + r2)).sum(-1)
-        return v, w[..., 0], cost
+        w, cost = self._best_rotations(self._normals, flow, information)
+        return self._directions, w, cost
 
-    def rotation(self, flow: Array, information: Array) -> Array:
-        """Fit the pure rotation that explains a flow best, (3,) rad per window.
+    def score(self, v: Array, flow: Array, information: Array) -> tuple[Array, float]:
+        """Return the best w (3,) for one direction v (3,), and the robust cost, as `search`."""
+        w, cost = self._best_rotations(self._normal_fields(v[None]), flow, information)
+        return w[0], float(cost[0])
+
+    def rotation(self, flow: Array, information: Array) -> tuple[Array, float]:
+        """Fit the pure rotation that explains a flow best.
 
         Args:
             flow, information: as in `search`.
+
+        Returns:
+            w (3,) rad per window, and the robust cost, comparable to those of `search`.
         """
         weight = self.usable.astype(np.float64)
         w = np.zeros(3)
-        for _ in range(3 * _REWEIGHTINGS):
-            weighted = information * weight[:, None, None]
-            matrix = np.einsum("nia,nij,njb->ab", self.b, weighted, self.b)
-            w = np.linalg.solve(
-                matrix + 1e-9 * np.eye(3), np.einsum("nia,nij,nj->a", self.b, weighted, flow)
-            )
-            r2 = ((flow - self.b @ w) ** 2).sum(-1)
+        pulled = np.swapaxes(self.b, 1, 2) @ information  # (nodes, 3, 2)
+        stiffness = pulled @ self.b
+        target = (pulled @ flow[..., None])[..., 0]
+        for _ in range(2 * _REWEIGHTINGS):
+            matrix = np.tensordot(weight, stiffness, 1) + 1e-9 * np.eye(3)
+            w = np.linalg.solve(matrix, weight @ target)
+            left = flow - self.b @ w
+            r2 = (left**2).sum(-1)
             scale = max(self.inlier_px**2, 2 * float(np.median(r2[self.usable])))
             weight = self.usable / (1 + r2 / scale) ** 2
-        return w
+        squares = ((left[:, None] @ information)[:, 0] * left).sum(-1)
+        return w, float((self.usable * squares / (1 + r2 / self.inlier_px**2)).sum())
+
+    def _normal_fields(self, v: Array) -> Array:
+        """Unit normals of the epipolar lines for directions v (M, 3), (M, nodes, 2)."""
+        line = np.tensordot(v, self.a, axes=(1, 2))
+        norm = np.sqrt((line**2).sum(-1, keepdims=True) + self._soft**2)
+        return np.stack([-line[..., 1], line[..., 0]], -1) / norm
+
+    def _best_rotations(
+        self, normal: Array, flow: Array, information: Array
+    ) -> tuple[Array, Array]:
+        """Fit w (M, 3) for each field of normals (M, nodes, 2); costs (M,)."""
+        x, y = normal[..., 0], normal[..., 1]
+        rows = x[..., None] * self.b[:, 0] + y[..., None] * self.b[:, 1]
+        target = x * flow[:, 0] + y * flow[:, 1]
+        evidence = self.usable * (
+            x * x * information[:, 0, 0]
+            + 2 * x * y * information[:, 0, 1]
+            + y * y * information[:, 1, 1]
+        )
+        weight = evidence
+        for _ in range(_REWEIGHTINGS):
+            weighted = np.swapaxes(rows * weight[..., None], 1, 2)
+            matrix = weighted @ rows + 1e-9 * np.eye(3)
+            w = np.linalg.solve(matrix, weighted @ target[..., None])
+            r2 = ((target - (rows @ w)[..., 0]) / self.inlier_px) ** 2
+            weight = evidence / (1 + r2) ** 2
+        return w[..., 0], self.inlier_px**2 * (evidence * r2 / (1 + r2)).sum(-1)
 
 
 def _hemisphere(count: int) -> Array:

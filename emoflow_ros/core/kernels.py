@@ -21,7 +21,7 @@ _fast = numba.njit(cache=True, fastmath=True, nogil=True)
 def cell_of(position: float, cells: int) -> tuple[int, float]:
     """Split a lattice coordinate into the cell's index and the fraction inside it."""
     cell = min(int(position), cells - 1)
-    return cell, position - cell
+    return cell, position - np.float32(cell)
 
 
 @_fast
@@ -42,15 +42,16 @@ def warp(
         out: (2, N) warped positions in px, written.
     """
     columns, rows, times, _ = flow.shape
+    one, half, middle = np.float32(1), np.float32(0.5), np.float32(ref)
     for k in range(len(x)):
         c, fx = cell_of(x[k] * per_px[0], columns - 1)
         r, fy = cell_of(y[k] * per_px[1], rows - 1)
         q, ft = cell_of(s[k] * (times - 1), times - 1)
-        w00 = (1 - fx) * (1 - fy)
-        w01 = (1 - fx) * fy
-        w10 = fx * (1 - fy)
+        w00 = (one - fx) * (one - fy)
+        w01 = (one - fx) * fy
+        w10 = fx * (one - fy)
         w11 = fx * fy
-        dt = ref - s[k]
+        dt = middle - s[k]
         for d in range(2):
             early = (
                 w00 * flow[c, r, q, d]
@@ -70,7 +71,7 @@ def warp(
                 + w10 * acceleration[c + 1, r, d]
                 + w11 * acceleration[c + 1, r + 1, d]
             )
-            out[d, k] = dt * (early + ft * (late - early) + 0.5 * dt * bend)
+            out[d, k] = dt * (early + ft * (late - early) + half * dt * bend)
         out[0, k] += x[k]
         out[1, k] += y[k]
 
@@ -87,20 +88,20 @@ def vote(position: F32, weights: F32, scale: float, image: F32) -> None:
     """
     h, w = image.shape
     image[:] = 0.0
-    shift = (MARGIN + 0.5) * scale - 0.5
+    shift, zoom, one = np.float32((MARGIN + 0.5) * scale - 0.5), np.float32(scale), np.float32(1)
     for k in range(position.shape[1]):
-        px = position[0, k] * scale + shift
-        py = position[1, k] * scale + shift
+        px = position[0, k] * zoom + shift
+        py = position[1, k] * zoom + shift
         if px >= 1 and py >= 1 and px < w - 2 and py < h - 2:
             i = int(py)
             j = int(px)
-            fy = py - i
-            fx = px - j
+            fy = py - np.float32(i)
+            fx = px - np.float32(j)
             below = weights[k] * fy
             above = weights[k] - below
-            image[i, j] += above * (1 - fx)
+            image[i, j] += above * (one - fx)
             image[i, j + 1] += above * fx
-            image[i + 1, j] += below * (1 - fx)
+            image[i + 1, j] += below * (one - fx)
             image[i + 1, j + 1] += below * fx
 
 
@@ -150,6 +151,7 @@ def pull(
     potential: F32,
     scale: float,
     per_px: F32,
+    stride: int,
     gradient: F32,
     curvature: F32,
 ) -> None:
@@ -165,74 +167,85 @@ def pull(
         potential: (h, w), see `contrast.Contrast`.
         scale: image pixels per sensor pixel.
         per_px: (2,) lattice cells per pixel.
+        stride: the stiffness is taken from each stride-th event.
         gradient: (columns - 1, rows - 1, times - 1, 2, 8), added to; the last axis counts
             the cell's nodes with time innermost and the column outermost.
-        curvature: (columns - 1, rows - 1, times - 1, 3, 8, 8), added to: xx, xy, yy.
+        curvature: (columns - 1, rows - 1, times - 1, 8, 3, 8), added to: for each pair of
+            nodes xx, xy, yy.
     """
     h, w = potential.shape
     cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
-    shift = (MARGIN + 0.5) * scale - 0.5
+    one, two = np.float32(1), np.float32(2)
+    half, quarter = np.float32(0.5), np.float32(0.25)
+    shift = np.float32((MARGIN + 0.5) * scale - 0.5)
+    zoom, middle = np.float32(scale), np.float32(ref)
+    share = np.float32(stride)
     node = np.empty(8, np.float32)
+    stiff = np.empty((3, 8), np.float32)
     for k in range(len(x)):
-        px = position[0, k] * scale + shift
-        py = position[1, k] * scale + shift
+        px = position[0, k] * zoom + shift
+        py = position[1, k] * zoom + shift
         if not (px >= 1 and py >= 1 and px < w - 2 and py < h - 2):
             continue
+        c, fx = cell_of(x[k] * per_px[0], cells_x)
+        r, fy = cell_of(y[k] * per_px[1], cells_y)
+        q, ft = cell_of(s[k] * cells_t, cells_t)
+        node[0] = (one - fx) * (one - fy) * (one - ft)
+        node[1] = (one - fx) * (one - fy) * ft
+        node[2] = (one - fx) * fy * (one - ft)
+        node[3] = (one - fx) * fy * ft
+        node[4] = fx * (one - fy) * (one - ft)
+        node[5] = fx * (one - fy) * ft
+        node[6] = fx * fy * (one - ft)
+        node[7] = fx * fy * ft
         i = int(py)
         j = int(px)
-        fy = py - i
-        fx = px - j
+        fy = py - np.float32(i)
+        fx = px - np.float32(j)
         p00 = potential[i, j]
         p01 = potential[i, j + 1]
         p10 = potential[i + 1, j]
         p11 = potential[i + 1, j + 1]
-        dt = (ref - s[k]) * scale
+        dt = (middle - s[k]) * zoom
         lever = weights[k] * dt
-        gx = lever * ((1 - fy) * (p01 - p00) + fy * (p11 - p10))
-        gy = lever * ((1 - fx) * (p10 - p00) + fx * (p11 - p01))
-        i = int(py + 0.5)
-        j = int(px + 0.5)
-        lever *= dt
-        twice = 2 * potential[i, j]
+        gx = lever * ((one - fy) * (p01 - p00) + fy * (p11 - p10))
+        gy = lever * ((one - fx) * (p10 - p00) + fx * (p11 - p01))
+        g = gradient[c, r, q]
+        for b in range(8):
+            g[0, b] += gx * node[b]
+            g[1, b] += gy * node[b]
+        if k % stride:
+            continue
+        i = int(py + half)
+        j = int(px + half)
+        lever *= dt * share
+        twice = two * potential[i, j]
         xx = lever * (twice - potential[i, j - 1] - potential[i, j + 1])
         yy = lever * (twice - potential[i - 1, j] - potential[i + 1, j])
-        xy = (0.25 * lever) * (
+        xy = (quarter * lever) * (
             potential[i - 1, j + 1]
             + potential[i + 1, j - 1]
             - potential[i - 1, j - 1]
             - potential[i + 1, j + 1]
         )
-        mean = 0.5 * (xx + yy)
-        half = 0.5 * (xx - yy)
-        root = np.sqrt(half * half + xy * xy)
+        mean = half * (xx + yy)
+        skew = half * (xx - yy)
+        root = np.sqrt(skew * skew + xy * xy)
         if mean < root:  # one eigenvalue, or both, below zero
-            keep = 0.5 * max(mean + root, np.float32(0.0)) / max(root, np.float32(1e-20))
-            xx = keep * (root + half)
-            yy = keep * (root - half)
+            keep = half * max(mean + root, np.float32(0)) / max(root, np.float32(1e-20))
+            xx = keep * (root + skew)
+            yy = keep * (root - skew)
             xy = keep * xy
-        c, fx = cell_of(x[k] * per_px[0], cells_x)
-        r, fy = cell_of(y[k] * per_px[1], cells_y)
-        q, ft = cell_of(s[k] * cells_t, cells_t)
-        node[0] = (1 - fx) * (1 - fy) * (1 - ft)
-        node[1] = (1 - fx) * (1 - fy) * ft
-        node[2] = (1 - fx) * fy * (1 - ft)
-        node[3] = (1 - fx) * fy * ft
-        node[4] = fx * (1 - fy) * (1 - ft)
-        node[5] = fx * (1 - fy) * ft
-        node[6] = fx * fy * (1 - ft)
-        node[7] = fx * fy * ft
-        g = gradient[c, r, q]
-        h_cell = curvature[c, r, q]
+        for b in range(8):
+            stiff[0, b] = xx * node[b]
+            stiff[1, b] = xy * node[b]
+            stiff[2, b] = yy * node[b]
+        cell = curvature[c, r, q]
         for a in range(8):
-            g[0, a] += node[a] * gx
-            g[1, a] += node[a] * gy
-            ax = node[a] * xx
-            axy = node[a] * xy
-            ay = node[a] * yy
-            for b in range(8):
-                h_cell[0, a, b] += ax * node[b]
-                h_cell[1, a, b] += axy * node[b]
-                h_cell[2, a, b] += ay * node[b]
+            n = node[a]
+            for d in range(3):
+                for b in range(8):
+                    cell[a, d, b] += n * stiff[d, b]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -262,9 +275,9 @@ def gather_cells(gradient: F32, curvature: F32, factor: float, vector: F64, band
                     for b in range(a + 1):  # offsets grow with the node: the lower triangle
                         j = offset[b]
                         d = i - j
-                        cross = factor * h[1, a, b]
-                        band[j, d] += factor * h[0, a, b]
-                        band[j + 1, d] += factor * h[2, a, b]
+                        cross = factor * h[a, 1, b]
+                        band[j, d] += factor * h[a, 0, b]
+                        band[j + 1, d] += factor * h[a, 2, b]
                         band[j, d + 1] += cross
                         if b < a:
                             band[j + 1, d - 1] += cross
@@ -290,21 +303,21 @@ def add_stencil(
     """
     times = flow.shape[1]
     z = np.empty((times, 2))
-    for m in range(len(nodes)):
+    for n in range(len(nodes)):
         z[:] = 0.0
         for k in range(nodes.shape[1]):
             for q in range(times):
                 for d in range(2):
-                    z[q, d] += coefficients[k] * flow[nodes[m, k], q, d]
+                    z[q, d] += coefficients[k] * flow[nodes[n, k], q, d]
         stiffness = weight / np.sqrt(1 + (z * z).sum() / (times * limit * limit))
         for k in range(nodes.shape[1]):
             for q in range(times):
                 for d in range(2):
-                    i = (nodes[m, k] * times + q) * 2 + d
+                    i = (nodes[n, k] * times + q) * 2 + d
                     vector[i] -= stiffness * coefficients[k] * z[q, d]
-                    for l in range(k + 1):
-                        j = (nodes[m, l] * times + q) * 2 + d
-                        pair = stiffness * coefficients[k] * coefficients[l]
+                    for m in range(k + 1):
+                        j = (nodes[n, m] * times + q) * 2 + d
+                        pair = stiffness * coefficients[k] * coefficients[m]
                         if i >= j:
                             band[j, i - j] += pair
                         else:

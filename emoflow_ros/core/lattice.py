@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,7 +196,7 @@ class LatticeFlow:
     def tracks(self, points: NDArray[np.float64], times: Sequence[int]) -> NDArray[np.float64]:
         """Positions (len(times), N, 2) px of points (N, 2) given at times[0] (ns)."""
         positions = [np.asarray(points, np.float64)]
-        for t0, t1 in zip(times[:-1], times[1:], strict=True):
+        for t0, t1 in pairwise(times):
             positions.append(self._advance(positions[-1], t0, t1))
         return np.stack(positions)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
@@ -55,6 +56,8 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(camera.width, camera.height, config.spacing_px)
         self._epipolar = NodeEpipolar(camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config)
+        # The systems are small: threads of the linear algebra library would only spin.
+        self._threads = ThreadpoolController()
         self.reset()
 
     def reset(self) -> None:
@@ -64,6 +67,10 @@ class LatticeEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
+        with self._threads.limit(limits=1, user_api="blas"):
+            return self._estimate(window)
+
+    def _estimate(self, window: Window) -> Estimate:
         self._started = time.perf_counter()
         self._iterations = 0
         events = self._prepare(window)
@@ -191,19 +198,18 @@ class LatticeEstimator:
         fit = self._fit
         assert fit.motion is not None
         present = fit.motion.at(0.5)[1]
-        v, w, cost = self._epipolar.search(free.flow, free.information, also=present)
-        best = int(cost.argmin())
-        rotates = self._selector.model is MotionModel.ROTATION
-        switch = best != 0 and (rotates or cost[best] < _SWITCH * cost[0])
-        if switch:
-            direction = v[best] if v[best] @ present >= 0 else -v[best]
-            fit.motion = Motion.constant(w[best], direction)
-        else:
-            direction = present
+        w, cost = self._epipolar.score(present, free.flow, free.information)
+        directions, rotations, costs = self._epipolar.search(free.flow, free.information)
+        best = int(costs.argmin())
         before = self._selector.model
-        return self._select(free, direction, w[best if switch else 0]) is not before or (
-            switch and not rotates
-        )
+        switch = costs[best] < (1.0 if before is MotionModel.ROTATION else _SWITCH) * cost
+        if switch:
+            v = directions[best]
+            present = v if v @ present >= 0 else -v
+            w = rotations[best]
+            fit.motion = Motion.constant(w, present)
+        after = self._select(free, present, w)
+        return after is not before or (switch and after is not MotionModel.ROTATION)
 
     def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
         self._selector.update(self._epipolar, free, w, v)

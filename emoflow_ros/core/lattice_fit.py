@@ -112,7 +112,7 @@ class LatticeFit:
         weight = self.config.dec_weight * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
         by_w = -epipolar.rotational_jacobian()  # (nodes, times, 2, 12)
-        corner = self._roughness * self._rotation_stiffness
+        corner: Array = self._roughness * self._rotation_stiffness
         corner_vector = -corner @ motion.w.ravel()
         border = np.zeros((self.lattice.unknowns, 3 * CONTROL_POINTS))
         for d in range(2):
