@@ -156,6 +156,7 @@ def _run(options: argparse.Namespace) -> int:
             )
     if not run.windows:  # interrupted before the first one was done
         raise KeyboardInterrupt
+    run.published = plan.published
     report, _ = write_report(run, config.flat(), folder)
     _print_summary(run, report)
     if run.interrupted:
@@ -220,7 +221,7 @@ def _print_summary(run: Evaluation, report: Path) -> None:
     print(f"{ok} of {len(run.windows)} windows estimated")
     for m in summarise(run.windows):
         interval = f"  [{m.low:.2f}, {m.high:.2f}]" if m.low == m.low else ""
-        print(f"  {m.label:<34} {m.value:9.2f} {m.unit:<6}{interval}")
+        print(f"  {m.label:<50} {m.value:9.2f} {m.unit:<6}{interval}")
     print(report)
 
 

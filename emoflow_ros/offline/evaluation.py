@@ -1,6 +1,6 @@
 """Run an estimator over a recording, window by window, and compare it with the truth."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +34,7 @@ class Evaluation:
         windows: one result per window.
         gallery: windows for pictures.
         interrupted: whether Ctrl-C ended it early.
+        published: figures of a paper to stand beside the summary, by their key.
     """
 
     source: Path
@@ -44,6 +45,7 @@ class Evaluation:
     windows: list[WindowResult] = field(default_factory=list)
     gallery: Gallery = field(default_factory=Gallery)
     interrupted: bool = False
+    published: Mapping[str, float] = field(default_factory=dict)
 
 
 def evaluate(

@@ -1,8 +1,9 @@
 """Which windows are estimated and compared: freely cut ones, or a benchmark's intervals."""
 
 from collections import deque
+from collections.abc import Mapping
 from collections.abc import Sequence as Ordered
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from emoflow_ros.offline.truth import FlowSource, PropagatedFlow, TrueFlow, Trut
 WINDOWS = "windows"
 # Frames from the start to the end of an interval.
 FRAME_STEPS = {"mvsec-dt1": 1, "mvsec-dt4": 4}
+_PUBLISHED_STEP = 4
 PROTOCOLS = (WINDOWS, *FRAME_STEPS)
 
 
@@ -30,11 +32,13 @@ class Plan:
         slicer: cuts the windows.
         truth: what counts of the truth.
         description: the protocol in words, for the report.
+        published: figures of the paper that may stand beside the result.
     """
 
     slicer: Slicer
     truth: Truth
     description: str
+    published: Mapping[str, float] = field(default_factory=dict)
 
 
 def make_plan(
@@ -83,7 +87,8 @@ def make_plan(
         + (f" of {sequence.name}" if sequence else "")
         + crop
     )
-    return Plan(IntervalSlicer(intervals), truth, description)
+    published = sequence.published if sequence and step == _PUBLISHED_STEP else {}
+    return Plan(IntervalSlicer(intervals), truth, description, published)
 
 
 def frame_intervals(

@@ -31,6 +31,8 @@ DEFINITIONS = (
     f"The axis of ω is compared where the true |ω| exceeds {np.degrees(MIN_TRUE_RATE):.0f} deg/s, "
     f"the direction of v where the true speed exceeds {MIN_TRUE_SPEED} m/s. The direction error "
     "keeps the sign: opposite directions are 180 degrees apart. Nothing is taken from the truth.",
+    "Oracle figures take the scale of v, or its scale and sign, from the truth; they are no "
+    "property of the estimate, and only serve comparison with tables that do the same.",
     "Intervals are 95 % percentile bootstrap intervals over windows.",
 )
 
@@ -115,6 +117,7 @@ def _facts(run: Evaluation) -> dict[str, Any]:
         f"fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} px",
         "truth": run.truth.description,
         "protocol": run.protocol,
+        "published": dict(run.published),
         "interrupted": run.interrupted,
         "windows_total": len(run.windows),
         "windows_ok": sum(w.ok for w in run.windows),

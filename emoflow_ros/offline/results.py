@@ -1,6 +1,6 @@
 """What an evaluation knows about one window: the estimate, the truth and their difference."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,21 @@ class WindowResult:
     def direction_error_deg(self) -> float:
         """Angle between the directions of linear velocity, sign included (0 to 180)."""
         return float(angle_deg(self.linear, self.true_direction))
+
+    @property
+    def scaled_linear_error(self) -> Vector:
+        """Our direction times the true speed minus the true velocity, (3,) m/s: an oracle."""
+        if self.truth is None or self.truth.linear is None:
+            return np.full(3, np.nan)
+        speed = np.linalg.norm(self.truth.linear)
+        return np.asarray(speed * self.linear - self.truth.linear)
+
+    @property
+    def turned_linear_error(self) -> Vector:
+        """The same with our direction turned round where the truth points the other way."""
+        if not self.direction_error_deg > 90:
+            return self.scaled_linear_error
+        return replace(self, linear=-self.linear).scaled_linear_error
 
 
 def assess(

@@ -86,9 +86,25 @@ def _linear(windows: Sequence[WindowResult]) -> list[Measure]:
     errors = [w.direction_error_deg for w in windows]
     known = [w for w in windows if w.ok and np.isfinite(w.true_direction).all()]
     observed = [100.0 * np.isfinite(w.linear).all() for w in known]
+    scaled = [w.scaled_linear_error for w in known]
+    turned = [w.turned_linear_error for w in known]
     return [
         _measure("direction_error_deg", "Direction error of v (median)", "deg", errors),
         _measure("direction_mean_deg", "Direction error of v (mean)", "deg", errors, np.mean),
+        _measure(
+            "oracle_linear_rms_m_s",
+            "RMS error of v, oracle: scale from truth",
+            "m/s",
+            [error**2 for error in scaled],
+            _root_mean,
+        ),
+        _measure(
+            "oracle_sign_linear_rms_m_s",
+            "RMS error of v, oracle: scale and sign from truth",
+            "m/s",
+            [error**2 for error in turned],
+            _root_mean,
+        ),
         _measure("observable_percent", "Moving windows with a v", "%", observed, np.mean),
     ]
 

@@ -160,6 +160,7 @@ def test_interrupt_keeps_what_is_done(folder, tmp_path):
 
 def test_report_holds_the_values(folder, tmp_path):
     done = run(folder, KnownErrors(fail_at=(2,)))
+    done.published = {"epe_px": 1.56}
     html_path, json_path = write_report(done, {"window.duration_ms": 100.0}, tmp_path)
 
     report = json.loads(json_path.read_text())
@@ -182,6 +183,8 @@ def test_report_holds_the_values(folder, tmp_path):
 
     html = html_path.read_text()
     assert 'Flow EPE</td><td class="value">5.00</td>' in html
+    assert "<th>Published</th>" in html
+    assert "<td>1.56</td>" in html
     assert "4 of 5 with an estimate" in html
     assert "ValueError: singular matrix" in html
     assert "window.duration_ms" in html

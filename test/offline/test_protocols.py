@@ -58,6 +58,17 @@ def test_published_frame_ranges(name, first, last, rows):
     assert sequence.camera.model == "equidistant"
 
 
+def test_published_figures_stand_beside_dt4_only(mvsec_file):
+    sequence = Sequence("some", INDOOR, published={"epe_px": 1.5})
+    with open_recording(mvsec_file) as recording:
+        plans = [
+            make_plan(protocol, recording, Truth(), WindowPolicy(), sequence)
+            for protocol in ("windows", "mvsec-dt1", "mvsec-dt4")
+        ]
+    assert [dict(plan.published) for plan in plans] == [{}, {}, {"epe_px": 1.5}]
+    assert SEQUENCES["indoor_flying1"].published["angular_rms_deg_s"] == 3.44
+
+
 def test_unknown_sequence_lists_the_known_ones():
     with pytest.raises(InputError, match="use one of indoor_flying1, indoor_flying2"):
         find_sequence("indoor_flying9")
