@@ -1,5 +1,6 @@
 """Snapshots of a run, so that a stopped one continues exactly where it was."""
 
+import copyreg
 import os
 import pickle
 import time
@@ -9,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from threadpoolctl import ThreadpoolController
+
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
@@ -17,6 +20,9 @@ from emoflow_ros.offline.gallery import Gallery
 from emoflow_ros.offline.results import WindowResult
 
 _PERIOD_S = 10.0
+
+# Estimators hold handles of loaded libraries; these are not saved, but looked up again.
+copyreg.pickle(ThreadpoolController, lambda _: (ThreadpoolController, ()))
 
 
 class Slicer(Protocol):

@@ -2,9 +2,10 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from emoflow_ros.offline import evaluate
+from emoflow_ros.offline import evaluate, evaluation
 from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate
@@ -42,6 +43,31 @@ def test_bag_to_report(monkeypatch, capsys, tmp_path, paths):
     estimates = read_estimates(out / "estimates.h5")
     assert estimates.flow(0).shape == (260, 346, 2)
     assert estimates.configuration["window.duration_ms"] == 90.0
+
+
+def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, paths):
+    """The real estimator's memory survives the checkpoint: bitwise the same estimates."""
+    options = (paths.data, "--window-ms", 60, "--set", "window.stride_ms=30")
+    assert call(monkeypatch, *options, "--out", tmp_path / "whole") == 0
+    monkeypatch.setattr("emoflow_ros.offline.checkpoint._PERIOD_S", 0.0)
+
+    def killed(progress, window, truth, writer, done=evaluation._process):
+        if len(progress.windows) == 6:
+            raise KeyboardInterrupt
+        done(progress, window, truth, writer)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(evaluation, "_process", killed)
+        assert call(monkeypatch, *options, "--out", tmp_path / "parts") == 130
+    assert len(read_estimates(tmp_path / "parts" / "estimates.h5")) == 6
+    assert call(monkeypatch, *options, "--out", tmp_path / "parts", "--resume") == 0
+
+    whole, parts = (
+        read_estimates(tmp_path / name / "estimates.h5").columns for name in ("whole", "parts")
+    )
+    assert len(whole["t"]) == 12
+    for name in ("t_start_ns", "angular", "linear", "covariance"):
+        np.testing.assert_array_equal(parts[name], whole[name])
 
 
 def test_too_long_a_window(monkeypatch, capsys, tmp_path, paths):
