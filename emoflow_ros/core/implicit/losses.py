@@ -94,6 +94,8 @@ def _filter(image: Tensor, kernel: Tensor, padding: int = 0) -> Tensor:
 def occupied_pixels(points: Tensor, valid: Tensor) -> Tensor:
     """List the valid pixels (M, 2) nearest to any of the points (N, 2).
 
+    Their number is not known beforehand, so that the host waits for a CUDA device here.
+
     Args:
         valid: (H, W) mask.
     """
