@@ -17,10 +17,10 @@ class LatticeConfig:
         26.0, "distance of the flow lattice's nodes", unit="px", minimum=8.0, maximum=200.0
     )
     smoothness: float = option(
-        0.7, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
+        0.4, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
     )
     edge_px: float = option(
-        0.4,
+        0.3,
         "second difference of the flow above which it counts as an edge of depth",
         unit="px per window",
         minimum=1e-3,
@@ -72,7 +72,7 @@ class LatticeConfig:
         maximum=1e4,
     )
     angular_drift: float = option(
-        100.0,
+        50.0,
         "random walk of the angular velocity between windows",
         unit="deg/s per square root of a second",
         minimum=0.1,

@@ -69,7 +69,7 @@ class LatticeFit:
         self._equations = NormalEquations(lattice)
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
-        self._roughness = np.kron(second.T @ second + 0.1 * first.T @ first, np.eye(3))
+        self._roughness: Array = np.kron(second.T @ second + 0.1 * first.T @ first, np.eye(3))
 
     @property
     def _node_flow(self) -> Array:
