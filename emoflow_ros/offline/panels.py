@@ -21,26 +21,28 @@ _UNKNOWN = "#dddddd"
 
 @style
 def window_panels(example: Example, camera: Camera, truth: Truth) -> Figure:
-    """Draw one window: flow and (where known) truth and error above, events below."""
+    """Draw one window: flow, events before and after the warp; truth and error where known."""
     window = example.window
     flow = example.estimate.flow
     assert flow is not None, "the gallery holds windows with a flow only"
     estimated = flow.displacement(window.t_start, window.t_end).astype(np.float64)
     true = truth.flows.displacement(window.t_start, window.t_end) if truth.flows else None
     longest = _longest(estimated, true)
-    aspect = camera.height / camera.width
-    figure = Figure(figsize=(10, 6.6 * aspect + 0.9), layout="constrained")
-    axes = figure.subplots(2, 3)
-    for ax in axes.flat:
+    rows, columns = (1, 4) if true is None else (2, 3)
+    aspect = rows / columns * camera.height / camera.width
+    figure = Figure(figsize=(10, 10 * aspect + 0.45 * rows), layout="constrained")
+    panels = list(figure.subplots(rows, columns).flat)
+    for ax in panels:
         ax.axis("off")
 
-    _show(axes[0, 0], flow_to_rgb(estimated, longest), "Estimated flow")
+    _show(panels.pop(0), flow_to_rgb(estimated, longest), "Estimated flow")
     if true is not None:
         known = np.where(true.valid[..., None], true.displacement, np.nan)
-        _show(axes[0, 1], flow_to_rgb(known, longest), "True flow (black: unknown)")
-        _error_map(figure, axes[0, 2], end_point_error(estimated, known))
-    _events(axes, example, flow, camera)
-    _wheel(axes[1, 2], longest)
+        _show(panels.pop(0), flow_to_rgb(known, longest), "True flow (black: unknown)")
+        _error_map(figure, panels.pop(0), end_point_error(estimated, known))
+    before, after, legend = panels
+    _events(before, after, example, flow, camera)
+    _wheel(legend, longest)
     return figure
 
 
@@ -69,15 +71,15 @@ def _error_map(figure: Figure, ax: Axes, error: NDArray[np.floating]) -> None:
     ax.set_title("Error (grey: truth unknown)", loc="left")
 
 
-def _events(axes: NDArray[np.object_], example: Example, flow: FlowSampler, camera: Camera) -> None:
-    """Both images on one grey scale, so that sharpness can be compared."""
+def _events(left: Axes, right: Axes, example: Example, flow: FlowSampler, camera: Camera) -> None:
+    """Events before and after the warp on one grey scale, so that sharpness can be compared."""
     size = camera.width, camera.height
     before = event_image(example.window.events, *size)
     after = warped_image(example.window, flow, *size)
     limit = float(np.percentile(after[after > 0], 99.5)) if (after > 0).any() else 1.0
     for ax, image, title in (
-        (axes[1, 0], before, "Events before the warp"),
-        (axes[1, 1], after, "Events warped to the middle of the window"),
+        (left, before, "Events before the warp"),
+        (right, after, "Events warped to the middle"),
     ):
         _show(ax, image, title, cmap="gray_r", vmin=0, vmax=limit)
 
