@@ -7,10 +7,16 @@ from typing import Any
 
 import yaml
 
+from emoflow_ros.core.implicit.config import ImplicitConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import option, options_of, replace_options
 from emoflow_ros.core.windows import WindowPolicy
 from emoflow_ros.errors import InputError
+
+_ESTIMATORS: dict[str, type[LatticeConfig | ImplicitConfig]] = {
+    "lattice": LatticeConfig,
+    "implicit": ImplicitConfig,
+}
 
 
 @dataclass(frozen=True)
@@ -18,8 +24,13 @@ class Config:
     """The whole configuration of an estimation run."""
 
     profile: str = option("realtime", "profile that the values came from")
+    method: str = option(
+        "lattice",
+        "estimator: the real-time lattice field, or the published coordinate network",
+        choices=tuple(_ESTIMATORS),
+    )
     window: WindowPolicy = field(default_factory=WindowPolicy)
-    estimator: LatticeConfig = field(default_factory=LatticeConfig)
+    estimator: LatticeConfig | ImplicitConfig = field(default_factory=LatticeConfig)
 
     def flat(self) -> dict[str, Any]:
         """All values by dotted name, as written beside every result."""
@@ -50,7 +61,11 @@ def load_config(
     if params_file is not None:
         values.update(_read(params_file))
     values.update(overrides or {})
-    return replace_options(Config(profile=profile), values)
+    method = values.pop("method", Config.method)
+    if method not in _ESTIMATORS:
+        raise InputError("method", f"unknown '{method}'", f"use {' or '.join(_ESTIMATORS)}")
+    start = Config(profile=profile, method=method, estimator=_ESTIMATORS[method]())
+    return replace_options(start, values)
 
 
 def _config_folder() -> Path:

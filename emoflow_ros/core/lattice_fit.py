@@ -69,7 +69,8 @@ class LatticeFit:
         self._equations = NormalEquations(lattice)
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
-        self._roughness: Array = np.kron(second.T @ second + 0.1 * first.T @ first, np.eye(3))
+        roughness = second.T @ second + 0.1 * first.T @ first
+        self._roughness = np.kron(roughness, np.eye(3)).astype(np.float64)
 
     @property
     def _node_flow(self) -> Array:

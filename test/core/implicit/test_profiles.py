@@ -1,23 +1,16 @@
-from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
+from emoflow_ros.core.config import load_config
 from emoflow_ros.core.implicit.config import ImplicitConfig
 from emoflow_ros.core.options import options_of, replace_options
 
-CONFIG = Path(__file__).parents[3] / "config"
-
 
 def load(profile: str) -> ImplicitConfig:
-    """Apply a profile's section for this estimator, which must name known options only."""
-    section = yaml.safe_load((CONFIG / f"{profile}.yaml").read_text())["implicit"]
-    values: dict[str, Any] = {}
-    for name, value in section.items():
-        group = value if isinstance(value, dict) else {}
-        values |= {f"{name}.{key}": inner for key, inner in group.items()} or {name: value}
-    return replace_options(ImplicitConfig(), values)
+    estimator = load_config(profile).estimator
+    assert isinstance(estimator, ImplicitConfig)
+    return estimator
 
 
 def changes(config: ImplicitConfig, base: ImplicitConfig) -> dict[str, Any]:
