@@ -64,7 +64,7 @@ class LatticeConfig:
         choices=("auto", "full", "rotation"),
     )
     direction_drift: float = option(
-        30.0,
+        60.0,
         "random walk of the direction of travel between windows: less drift is more memory, "
         "steadier and later",
         unit="deg per square root of a second",
