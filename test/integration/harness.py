@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,6 +22,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
+from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.simulation.messages import MessageEncoder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,6 +38,12 @@ def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S)
     while not condition():
         assert time.monotonic() < deadline, f"{what}: not within {timeout_s} s"
         time.sleep(0.01)
+
+
+def children(pid: int) -> list[int]:
+    """Process ids of the direct children, whichever thread started them."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
 
 
 class Peer:
@@ -76,7 +83,8 @@ class Peer:
     ) -> None:
         deadline = time.monotonic() + timeout_s
         while not condition():
-            assert time.monotonic() < deadline, f"{what}: not within {timeout_s} s"
+            seen = f"{len(self.twists)} twists, {len(self.images)} images, {self.status()}"
+            assert time.monotonic() < deadline, f"{what}: not within {timeout_s} s; {seen}"
             self._executor.spin_once(timeout_sec=0.05)
 
     def connect(self) -> None:
@@ -105,6 +113,15 @@ class Peer:
         )
         self.events.publish(self._encoder.events(t, camera, events))
 
+    def call(self, service_type: Any, name: str, **request: Any) -> Any:
+        """Call a service of the node under test."""
+        client = self.node.create_client(service_type, name)
+        self.spin_until(client.service_is_ready, f"service {name}")
+        answer = client.call_async(service_type.Request(**request))
+        self.spin_until(answer.done, f"answer of {name}")
+        self.node.destroy_client(client)
+        return answer.result()
+
     def status(self) -> dict[str, str]:
         """Return the latest diagnostics: the numbers, and `message`."""
         if not self.diagnostics:
@@ -131,11 +148,11 @@ class Processes:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._started: list[subprocess.Popen[bytes]] = []
+        self.started: list[subprocess.Popen[bytes]] = []
 
     def start(self, *command: str) -> subprocess.Popen[bytes]:
         """Start a command; its output goes to a file of its own (see `output`)."""
-        log = self._log(len(self._started)).open("wb")
+        log = self._log(len(self.started)).open("wb")
         environment = dict(os.environ)
         paths = [str(ROOT), str(ROOT / "test" / "node"), environment.get("PYTHONPATH", "")]
         environment["PYTHONPATH"] = os.pathsep.join(p for p in paths if p)
@@ -144,21 +161,27 @@ class Processes:
             process = subprocess.Popen(
                 command, stdout=log, stderr=log, env=environment, start_new_session=True
             )
-        self._started.append(process)
+        self.started.append(process)
         return process
 
-    def start_node(self, estimator: str, *arguments: str) -> subprocess.Popen[bytes]:
-        """Start the node with one of the fake estimators, windows of 10 ms."""
+    def start_node(
+        self, factory: str = FACTORY, parameters: Sequence[str] = (), *arguments: str
+    ) -> subprocess.Popen[bytes]:
+        """Start the node as its console script does; `parameters` as in `name:=value`."""
         code = (
-            "import sys; from emoflow_ros.node.estimator import main; "
-            f"sys.exit(main('fake_estimators:{estimator}'))"
+            f"import sys; from emoflow_ros.node.estimator import main; sys.exit(main('{factory}'))"
         )
-        parameters = ("-p", "window.duration_ms:=10.0", "-p", "output.diagnostics_s:=0.2")
-        return self.start(sys.executable, "-c", code, "--ros-args", *parameters, *arguments)
+        given = [part for parameter in parameters for part in ("-p", parameter)]
+        return self.start(sys.executable, "-c", code, "--ros-args", *given, *arguments)
+
+    def start_fake(self, estimator: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start the node with one of the fake estimators, windows of 10 ms."""
+        parameters = ("window.duration_ms:=10.0", "output.diagnostics_s:=0.2")
+        return self.start_node(f"fake_estimators:{estimator}", parameters, *arguments)
 
     def output(self, process: subprocess.Popen[bytes]) -> str:
         """Return what the process has written so far."""
-        return self._log(self._started.index(process)).read_text()
+        return self._log(self.started.index(process)).read_text()
 
     def _log(self, index: int) -> Path:
         return self._folder / f"process_{index}.log"
@@ -172,7 +195,7 @@ class Processes:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for process in self._started:
+        for process in self.started:
             for wish, patience_s in (
                 (signal.SIGINT, 3.0),
                 (signal.SIGTERM, 2.0),

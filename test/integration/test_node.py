@@ -3,13 +3,17 @@
 import os
 import re
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import CAMERA, MS, Peer, Processes
+from harness import CAMERA, MS, Peer, Processes, children
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 
 from emoflow_ros.core.camera import Camera
 
@@ -21,6 +25,11 @@ def stamp(message: object) -> int:
     return time_.sec * 1_000_000_000 + time_.nanosec
 
 
+def stamp_ms(peer: Peer) -> int:
+    """Stamp of the latest twist, 0 without any."""
+    return stamp(peer.twists[-1]) // MS if peer.twists else 0
+
+
 def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
     """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
     for t in range(first_ms, last_ms, 5):
@@ -28,7 +37,7 @@ def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
 
 
 def test_twist_holds_what_the_estimator_said(peer: Peer, processes: Processes) -> None:
-    processes.start_node("Recorder")
+    processes.start_fake("Recorder")
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1031)
@@ -47,7 +56,7 @@ def test_twist_holds_what_the_estimator_said(peer: Peer, processes: Processes) -
 
 def test_flow_image_is_in_pixels_per_second(peer: Peer, processes: Processes) -> None:
     peer.subscribe_flow()
-    processes.start_node("Recorder", "-p", "camera.frame_id:=my_frame")
+    processes.start_fake("Recorder", "-p", "camera.frame_id:=my_frame")
     peer.connect()
     peer.spin_until(lambda: peer.node.count_publishers("/flow/image"), "flow is offered")
     peer.publish_camera()
@@ -71,26 +80,26 @@ def test_flow_image_is_in_pixels_per_second(peer: Peer, processes: Processes) ->
 def test_signal_ends_the_node_mid_optimisation(
     peer: Peer, processes: Processes, wish: signal.Signals
 ) -> None:
-    node = processes.start_node("Busy")
+    node = processes.start_fake("Busy")
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1031)
     peer.spin_until(lambda: peer.status().get("events") == "35", "the events arrived")
-    children = _children(node.pid)
-    assert children
+    descendants = _descendants(node.pid)
+    assert descendants
     started = time.monotonic()
     os.killpg(node.pid, wish) if wish is signal.SIGINT else node.send_signal(wish)
     assert node.wait(5.0) == 0
     assert time.monotonic() - started < 1.0
     deadline = time.monotonic() + 5.0
-    while any(Path(f"/proc/{pid}").exists() for pid in children):
+    while any(Path(f"/proc/{pid}").exists() for pid in descendants):
         assert time.monotonic() < deadline, "processes are left behind"
         time.sleep(0.02)
     assert "Traceback" not in processes.output(node)
 
 
 def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Processes) -> None:
-    node = processes.start_node("Dying")
+    node = processes.start_fake("Dying")
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1020)
@@ -105,7 +114,7 @@ def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Proc
 
 
 def test_malformed_messages_among_good_ones(peer: Peer, processes: Processes) -> None:
-    node = processes.start_node("Recorder", "-p", "input.queue_windows:=20")
+    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=20")
     peer.connect()
     peer.publish_camera()
     rng = np.random.default_rng(3)
@@ -121,7 +130,7 @@ def test_malformed_messages_among_good_ones(peer: Peer, processes: Processes) ->
 
 
 def test_jump_back_in_time_resets_once(peer: Peer, processes: Processes) -> None:
-    node = processes.start_node("Recorder")
+    node = processes.start_fake("Recorder")
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 5000, 5021)
@@ -133,8 +142,89 @@ def test_jump_back_in_time_resets_once(peer: Peer, processes: Processes) -> None
     assert processes.output(node).count("event time went back") == 1
 
 
+def test_overload_drops_the_oldest_windows_and_recovers(peer: Peer, processes: Processes) -> None:
+    node = processes.start_fake("Slow", "-p", "input.queue_windows:=3")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1401)  # 40 windows at once
+    peer.spin_until(lambda: stamp_ms(peer) == 1395, "the newest window")
+    received = len(peer.twists)
+    assert 3 <= received < 40
+    peer.spin_until(lambda: peer.status().get("windows_ok") == str(received), "the count")
+    assert int(peer.status()["windows_dropped"]) == 40 - received
+    assert "slower than the events" in "".join(
+        s.message for d in peer.diagnostics for s in d.status
+    )
+    for t in (1405, 1410):  # one window, in time
+        peer.publish_events(t * MS)
+    peer.spin_until(lambda: stamp_ms(peer) == 1405, "the window after the overload")
+    assert int(peer.status()["windows_dropped"]) == 40 - received
+    assert node.poll() is None
+
+
+def test_silence_warns_and_ends_without_a_restart(peer: Peer, processes: Processes) -> None:
+    processes.start_fake("Recorder", "-p", "input.silence_s:=0.5")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: "no events for" in peer.status()["message"], "the warning")
+    run_windows(peer, 1015, 1021)
+    peer.spin_until(lambda: peer.status()["message"] == "running", "the recovery")
+    peer.spin_until(lambda: len(peer.twists) == 2, "both windows")
+
+
+def test_window_length_changes_at_the_next_window(peer: Peer, processes: Processes) -> None:
+    processes.start_fake("Recorder")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a window of 10 ms")
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=20.0)
+    wish = [ParameterMessage(name="window.duration_ms", value=value)]
+    answer = peer.call(SetParameters, "/estimator/set_parameters", parameters=wish)
+    assert [r.successful for r in answer.results] == [True]
+    run_windows(peer, 1015, 1041)
+    peer.spin_until(lambda: len(peer.twists) == 2, "a window of 20 ms")
+    assert stamp_ms(peer) == 1025
+
+
+def test_managed_node_goes_through_its_states(peer: Peer, processes: Processes) -> None:
+    node = processes.start_fake("Recorder", "-p", "autostart:=false")
+
+    def change(transition: int) -> bool:
+        wish = Transition(id=transition)
+        return peer.call(ChangeState, "/estimator/change_state", transition=wish).success
+
+    for _ in range(2):
+        assert change(Transition.TRANSITION_CONFIGURE)
+        assert change(Transition.TRANSITION_ACTIVATE)
+        peer.connect()
+        peer.publish_camera()
+        seen = len(peer.twists)
+        run_windows(peer, 1000, 1011)
+        peer.spin_until(lambda: len(peer.twists) == seen + 1, "a twist while active")  # noqa: B023
+        assert change(Transition.TRANSITION_DEACTIVATE)
+        peer.spin_until(lambda: peer.events.get_subscription_count() == 0, "it listens no more")
+        workers = set(_descendants(node.pid))
+        assert change(Transition.TRANSITION_CLEANUP)
+        peer.spin_until(lambda: not peer.node.count_publishers("/egomotion/twist"), "no topics")
+        peer.spin_until(lambda: set(_descendants(node.pid)) < workers, "no worker")  # noqa: B023
+
+
+def test_impossible_transition_does_not_end_the_node(peer: Peer, processes: Processes) -> None:
+    node = processes.start_fake("Recorder")
+    peer.connect()
+    client = peer.node.create_client(ChangeState, "/estimator/change_state")
+    peer.spin_until(client.service_is_ready, "the service")
+    client.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CLEANUP)))
+    peer.spin_until(lambda: "a request is refused" in processes.output(node), "the refusal")
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a twist afterwards")
+
+
 def test_events_of_another_sensor_are_refused(peer: Peer, processes: Processes) -> None:
-    node = processes.start_node("Recorder")
+    node = processes.start_fake("Recorder")
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
@@ -149,7 +239,7 @@ def test_events_of_another_sensor_are_refused(peer: Peer, processes: Processes) 
 def test_uncalibrated_camera_info_is_named_and_a_good_one_accepted(
     peer: Peer, processes: Processes
 ) -> None:
-    node = processes.start_node("Recorder")
+    node = processes.start_fake("Recorder")
     peer.connect()
     info = peer.camera_info.msg_type(width=64, height=48)  # K is zero
     peer.camera_info.publish(info)
@@ -162,7 +252,7 @@ def test_uncalibrated_camera_info_is_named_and_a_good_one_accepted(
 
 def test_events_on_two_topics_are_listed(peer: Peer, processes: Processes) -> None:
     with Peer("/other/events"):
-        node = processes.start_node("Recorder")
+        node = processes.start_fake("Recorder")
         peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
         assert "/cam/events, /other/events; choose with --ros-args -r events:=/cam/events" in (
             processes.output(node)
@@ -171,7 +261,7 @@ def test_events_on_two_topics_are_listed(peer: Peer, processes: Processes) -> No
 
 def test_remapped_topic_is_taken(peer: Peer, processes: Processes) -> None:
     with Peer("/other/events") as other:
-        node = processes.start_node("Recorder", "-r", "events:=/other/events")
+        node = processes.start_fake("Recorder", "-r", "events:=/other/events")
         other.connect()
         assert peer.events.get_subscription_count() == 0
         assert "listening to /other/events (dvs_msgs/msg/EventArray)" in processes.output(node)
@@ -195,16 +285,13 @@ def test_remapped_topic_is_taken(peer: Peer, processes: Processes) -> None:
 def test_bad_parameters_are_refused_in_one_line(
     processes: Processes, arguments: list[str], line: str
 ) -> None:
-    node = processes.start_node("Recorder", *arguments)
+    node = processes.start_fake("Recorder", *arguments)
     assert node.wait(20.0) == 2
     errors = re.findall(r"^error: .*", processes.output(node), re.MULTILINE)
     assert len(errors) == 1
     assert errors[0].startswith(line)
 
 
-def _children(pid: int) -> list[int]:
-    listing = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
-    )
-    direct = [int(child) for child in listing.stdout.split()]
-    return direct + [grandchild for child in direct for grandchild in _children(child)]
+def _descendants(pid: int) -> list[int]:
+    direct = children(pid)
+    return direct + [below for child in direct for below in _descendants(child)]

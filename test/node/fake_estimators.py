@@ -85,6 +85,14 @@ class NotFinite(Recorder):
         return estimate
 
 
+class Slow(Recorder):
+    """Needs 50 ms for a window."""
+
+    def estimate(self, window: Window) -> Estimate:
+        time.sleep(0.05)
+        return super().estimate(window)
+
+
 class Busy(Recorder):
     """Optimises for ever, without ever letting go of the interpreter."""
 

@@ -1,0 +1,266 @@
+"""The lifecycle node: event messages in, egomotion and optical flow out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import CameraInfo, Image
+
+from emoflow_ros.core.calibration import load_calibration
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.clock import Timestamps
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.errors import InputError
+from emoflow_ros.node import converters
+from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.event_input import EventInput
+from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.parameters import NodeParameters, Settings
+from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.supervisor import FACTORY, Loss, Outcome, Result, Supervisor
+
+_OUTPUT_DEPTH = 10
+_THROTTLE_S = 5.0
+
+type Transition = Callable[["EstimatorNode", LifecycleState], None]
+
+
+def _transition(body: Transition) -> Callable[..., TransitionCallbackReturn]:
+    """Make a lifecycle callback that says why it failed: rclpy would say nothing."""
+
+    def callback(self: "EstimatorNode", state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            body(self, state)
+        except InputError as error:
+            self.refusal = error
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    callback.__doc__ = body.__doc__
+    return callback
+
+
+class EstimatorNode(LifecycleNode):
+    """Listens to events while active, and publishes what the worker makes of them.
+
+    Configuring starts the worker and reads the calibration file; activating looks for the
+    event topic and subscribes as soon as the worker is warm. All callbacks and all publishing
+    are in the executor's thread.
+
+    Args:
+        factory: `module:function` that makes the estimator in the worker.
+        **kwargs: as for rclpy's Node.
+
+    Attributes:
+        refusal: why the last transition failed.
+
+    Raises:
+        InputError: a parameter has an unknown name or a bad value, or the node cannot start
+            with them.
+    """
+
+    def __init__(self, factory: str = FACTORY, **kwargs: Any) -> None:
+        super().__init__("estimator", **kwargs)
+        self.refusal: InputError | None = None
+        self._factory = factory
+        self._supervisor: Supervisor | None = None
+        self._source: EventSource | None = None
+        self._input: EventInput | None = None
+        self._camera: Camera | None = None
+        self._epoch = 0
+        self._statistics = Statistics()
+        self._outcomes: SimpleQueue[Outcome] = SimpleQueue()
+        self._outcome_waits = self.create_guard_condition(self._take_outcomes)
+        self._table = NodeParameters(
+            self,
+            is_configured=lambda: self._supervisor is not None,
+            on_change=self._apply_settings,
+        )
+        if self._settings.node.autostart:
+            self.trigger_configure()
+            if self.refusal is not None:
+                raise self.refusal
+            self.trigger_activate()
+
+    @property
+    def _settings(self) -> Settings:
+        return self._table.settings
+
+    @_transition
+    def on_configure(self, state: LifecycleState) -> None:
+        """Read the calibration file if there is one, make the publishers, start the worker."""
+        options = self._settings.node
+        path = options.camera.calibration_file
+        self._camera = load_calibration(Path(path)) if path else None
+        self._statistics = Statistics()
+        self._twist = self.create_lifecycle_publisher(
+            TwistStamped, "egomotion/twist", _OUTPUT_DEPTH
+        )
+        self._twist_with_covariance = self.create_lifecycle_publisher(
+            TwistWithCovarianceStamped, "egomotion/twist_with_covariance", _OUTPUT_DEPTH
+        )
+        self._flow = self.create_lifecycle_publisher(Image, "flow/image", _OUTPUT_DEPTH)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", _OUTPUT_DEPTH)
+        self._diagnostics_timer = self.create_timer(
+            options.output.diagnostics_s, self._publish_diagnostics
+        )
+        self._supervisor = Supervisor(
+            capacity=options.input.queue_windows,
+            timeout_s=options.output.timeout_s,
+            on_outcome=self._hand_over,
+            factory=self._factory,
+        )
+        if self._camera is not None:
+            self._supervisor.configure(self._camera, self._settings.config)
+        self._supervisor.start()
+
+    @_transition
+    def on_activate(self, state: LifecycleState) -> None:
+        """Look for events."""
+        assert self._supervisor is not None
+        super().on_activate(state)
+        self._source = EventSource(
+            self,
+            wanted_type=self._settings.node.input.type,
+            is_ready=self._supervisor.ready.is_set,
+            callbacks=Callbacks(
+                topic=self._take_topic,
+                events=self._take_events,
+                camera_info=self._take_camera_info if self._camera is None else None,
+            ),
+            statistics=self._statistics,
+        )
+
+    @_transition
+    def on_deactivate(self, state: LifecycleState) -> None:
+        """Listen no longer and forget the windows that wait."""
+        assert self._supervisor is not None
+        self._stop_listening()
+        self._supervisor.queue.clear()
+        super().on_deactivate(state)
+
+    @_transition
+    def on_cleanup(self, state: LifecycleState) -> None:
+        """End the worker and take the topics away."""
+        self._release()
+
+    @_transition
+    def on_shutdown(self, state: LifecycleState) -> None:
+        """Do what deactivating and cleaning up do."""
+        self._release()
+
+    def destroy_node(self) -> None:
+        """End the worker, whatever state the node is in, and destroy the node."""
+        self._stop_listening()
+        if self._supervisor is not None:
+            self._supervisor.stop()
+        super().destroy_node()
+
+    def _stop_listening(self) -> None:
+        if self._source is not None:
+            self._source.stop()
+        self._source = self._input = None
+
+    def _release(self) -> None:
+        self._stop_listening()
+        if self._supervisor is None:
+            return
+        self._supervisor.stop()
+        self._supervisor = None
+        self.destroy_timer(self._diagnostics_timer)
+        self.destroy_publisher(self._diagnostics)
+        for publisher in (self._twist, self._twist_with_covariance, self._flow):
+            self.destroy_lifecycle_publisher(publisher)
+
+    def _apply_settings(self, settings: Settings) -> None:
+        """Take new settings for the next window."""
+        if self._input is not None:
+            self._input.set_policy(settings.config.window)
+        if self._supervisor is not None and self._camera is not None:
+            self._supervisor.configure(self._camera, settings.config)
+
+    def _take_topic(self, topic: EventTopic) -> None:
+        settings = self._settings
+        self._input = EventInput(
+            topic.type,
+            settings.config.window,
+            timestamps=Timestamps(settings.node.input.timestamps),
+            frame_id=settings.node.camera.frame_id,
+            statistics=self._statistics,
+            warn=lambda line: self.get_logger().warning(line, throttle_duration_sec=_THROTTLE_S),
+        )
+        self._input.camera = self._camera
+        self._epoch = self._input.epoch
+        self.get_logger().info(f"listening to {topic.name} ({topic.type})")
+        if self._camera is None:
+            waiting = f"no calibration yet: publish {topic.camera_info} or give a file"
+            self._statistics.set_problem("camera", Level.ERROR, waiting)
+
+    def _take_events(self, data: bytes) -> None:
+        if self._input is None or self._supervisor is None:
+            return
+        tasks = self._input.push(data)
+        if self._input.epoch != self._epoch:
+            self._epoch = self._input.epoch
+            self._supervisor.queue.clear()
+            self.get_logger().info("event time went back: the estimation starts anew")
+        if tasks:
+            self._supervisor.flow_wanted = self._flow.get_subscription_count() > 0
+        for task in tasks:
+            self._supervisor.queue.put(task)
+        self._statistics.counts["windows_dropped"] = self._supervisor.queue.dropped
+
+    def _take_camera_info(self, info: CameraInfo) -> None:
+        assert self._supervisor is not None
+        try:
+            camera = converters.to_camera(info)
+        except InputError as error:
+            self._statistics.set_problem("camera", Level.ERROR, f"camera_info: {error}")
+            self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=_THROTTLE_S)
+            return
+        if camera == self._camera:
+            return
+        self._camera = camera
+        if self._input is not None:
+            self._input.camera = camera
+        self._supervisor.configure(camera, self._settings.config)
+        self._statistics.clear_problem("camera")
+        self.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
+
+    def _hand_over(self, outcome: Outcome) -> None:
+        """Bring an outcome from the supervisor's thread into the executor's."""
+        self._outcomes.put(outcome)
+        self._outcome_waits.trigger()
+
+    def _take_outcomes(self) -> None:
+        while not self._outcomes.empty():
+            match self._outcomes.get():
+                case Result() as result:
+                    self._publish(result)
+                case Loss(reason, worker):
+                    self._statistics.counts["worker_restarts" if worker else "windows_failed"] += 1
+                    self.get_logger().error(reason)
+
+    def _publish(self, result: Result) -> None:
+        if self._supervisor is None or result.task.epoch != self._epoch:
+            return
+        self._statistics.add_result(result)
+        estimate = result.estimate
+        if estimate.status is not Status.OK:
+            return
+        header = converters.to_header(estimate.t + result.task.time_offset, result.task.frame_id)
+        self._twist.publish(converters.to_twist(estimate, header))
+        self._twist_with_covariance.publish(converters.to_twist_with_covariance(estimate, header))
+        if result.flow is not None:
+            self._flow.publish(converters.to_flow_image(result.flow, header))
+
+    def _publish_diagnostics(self) -> None:
+        report = self._statistics.report(self._settings.node.input.silence_s)
+        stamp = self.get_clock().now().to_msg()
+        name = self.get_fully_qualified_name()
+        self._diagnostics.publish(converters.to_diagnostics(name, report, stamp))
