@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
-# Write the lock files anew from requirements*.in. Run it after editing one of those.
+# Bring the lock files up to date with requirements*.in. Run it after editing one of those;
+# with --upgrade it takes the newest versions that they allow.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+upgrade=("$@")
+
 lock() {
-    .venv/bin/uv pip compile --quiet --upgrade --no-header --no-annotate \
+    .venv/bin/uv pip compile --quiet --no-header --no-annotate \
         --no-emit-index-url --no-emit-find-links \
-        --python .venv/bin/python "$1.in" --output-file "$1.lock" "${@:2}"
+        --python .venv/bin/python "$1.in" --output-file "$1.lock" "${@:2}" "${upgrade[@]}"
 }
 
 lock requirements
