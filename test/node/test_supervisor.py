@@ -200,3 +200,15 @@ def test_stop_ends_a_busy_worker_at_once(bench: Callable[..., Bench]) -> None:
             return
         time.sleep(0.01)
     pytest.fail("the worker outlives its supervisor")
+
+
+def test_worker_that_cannot_start_is_tried_again() -> None:
+    b = Bench("Missing", 10.0)
+    try:
+        for _ in range(2):
+            loss = b.loss()
+            assert loss.worker
+            assert "exit code 1" in loss.reason
+        assert not b.supervisor.ready.is_set()
+    finally:
+        b.supervisor.stop()

@@ -1,0 +1,122 @@
+"""Three real processes: replay, estimator and a subscriber, with values held against the truth."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import Peer, Processes, children
+
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.windows import WindowSlicer
+from emoflow_ros.simulation.bags import data_topics, write_bag
+from emoflow_ros.simulation.messages import MessageEncoder
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
+
+pytestmark = pytest.mark.dds
+
+REPLAY = (sys.executable, "-m", "emoflow_ros.offline.replay")
+START = 1_500_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def recording() -> SimulatedRecording:
+    return simulate("calm", duration_s=1.2, seed=5, fps=500, start_ns=START)
+
+
+@pytest.fixture(scope="module")
+def bag(recording: SimulatedRecording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bag") / "calm.bag"
+    encoder = MessageEncoder(ros1=True)
+    write_bag(path, encoder, data_topics(recording, encoder), progress=False)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(recording: SimulatedRecording) -> list[Estimate]:
+    """The same windows through the same estimator, without ROS."""
+    from emoflow_ros.core.factory import make_estimator
+
+    config = load_config("realtime")
+    estimator = make_estimator(recording.camera, config)
+    windows = WindowSlicer(config.window).push(recording.events)
+    return [estimator.estimate(window) for window in windows]
+
+
+def stamps(peer: Peer) -> list[int]:
+    return [t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in peer.twists]
+
+
+def start(peer: Peer, processes: Processes, bag: Path) -> None:
+    peer.node.destroy_publisher(peer.events)
+    processes.start_node(parameters=("input.queue_windows:=50",))  # the machine may be busy
+    peer.spin_until(lambda: peer.node.count_publishers("/egomotion/twist"), "the node is there")
+    processes.start(*REPLAY, str(bag), "--wait", "60")
+
+
+def test_node_publishes_what_the_estimator_finds_and_that_is_true(
+    peer: Peer,
+    processes: Processes,
+    recording: SimulatedRecording,
+    bag: Path,
+    expected: list[Estimate],
+) -> None:
+    assert len(expected) >= 12
+    assert all(e.status is Status.OK for e in expected)
+    peer.subscribe_flow()
+    start(peer, processes, bag)
+    count = len(expected)
+    peer.spin_until(
+        lambda: len(peer.images) == len(peer.twists) == count, "twist and flow of all windows", 60.0
+    )
+
+    # Exactly what the estimator makes of these windows, at the time it holds at.
+    assert stamps(peer) == [e.t for e in expected]
+    angular = np.array([list(_xyz(t.twist.angular)) for t in peer.twists])
+    linear = np.array([list(_xyz(t.twist.linear)) for t in peer.twists])
+    np.testing.assert_allclose(angular, [e.angular for e in expected], atol=1e-6)
+    np.testing.assert_allclose(linear, [e.linear for e in expected], atol=1e-6)
+
+    # And that is the camera's motion.
+    true = [recording.truth.twist(t) for t in stamps(peer)]
+    true_linear, true_angular = (np.array(part) for part in zip(*true, strict=True))
+    error = np.degrees(np.linalg.norm(angular - true_angular, axis=1))
+    assert np.median(error) < 6.0
+    direction = true_linear / np.linalg.norm(true_linear, axis=1, keepdims=True)
+    off = np.degrees(np.arccos(np.clip((linear * direction).sum(axis=1), -1, 1)))
+    assert np.median(off) < 25.0
+
+    # So is the flow: px/s at the same time, u right and v down.
+    last = peer.images[-1]
+    flow = np.frombuffer(last.data, "<f4").reshape(last.height, last.width, 2)
+    true_flow = recording.truth.flow(stamps(peer)[-1])
+    valid = np.isfinite(flow).all(axis=2) & np.isfinite(true_flow).all(axis=2)
+    assert valid.mean() > 0.5
+    wrong = np.linalg.norm(flow - true_flow, axis=2)[valid].mean()
+    assert wrong < 0.35 * np.linalg.norm(true_flow, axis=2)[valid].mean()
+
+
+def test_killed_worker_costs_one_window_of_a_running_replay(
+    peer: Peer, processes: Processes, bag: Path, expected: list[Estimate]
+) -> None:
+    start(peer, processes, bag)
+    peer.spin_until(lambda: len(peer.twists) >= 4, "some twists", 60.0)
+    os.kill(_worker(processes), signal.SIGKILL)
+    peer.spin_until(lambda: stamps(peer)[-1] == expected[-1].t, "the last twist", 60.0)
+    assert len(peer.twists) >= len(expected) - 1
+    peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
+    assert peer.status()["windows_dropped"] == "0"
+
+
+def _worker(processes: Processes) -> int:
+    """Return the process id of the worker: the node's only grandchild."""
+    node = processes.started[0].pid
+    [worker] = [grandchild for child in children(node) for grandchild in children(child)]
+    return worker
+
+
+def _xyz(vector: object) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z  # type: ignore[attr-defined]
