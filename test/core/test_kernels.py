@@ -1,0 +1,228 @@
+"""The fast path against slow references that say the same thing in plain NumPy and SciPy."""
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.ndimage import convolve1d
+
+from emoflow_ros.core import kernels
+from emoflow_ros.core.contrast import gaussian
+from emoflow_ros.core.lattice import Lattice
+
+LATTICE = Lattice(120, 90, 5, 4, 3)
+CELLS = (4, 3, 2)
+EVENTS = 2000
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
+
+
+def random_events(rng):
+    """Columns x, y, s, weights; corners, the first and the last moment included."""
+    x = rng.integers(0, 120, EVENTS).astype(np.float32)
+    y = rng.integers(0, 90, EVENTS).astype(np.float32)
+    s = rng.random(EVENTS, np.float32)
+    x[:4], y[:4], s[:4] = [0, 119, 0, 119], [0, 0, 89, 89], [0, 1, 1, 0]
+    return x, y, s, rng.normal(size=EVENTS).astype(np.float32)
+
+
+def node_weights(x, y, s):
+    """Dense trilinear weights (N, columns, rows, times) in double precision."""
+
+    def hats(position, count):
+        return np.maximum(0, 1 - np.abs(position[:, None] - np.arange(count)))
+
+    per_px = LATTICE.per_px.astype(np.float64)
+    hats_x = hats(x * per_px[0], LATTICE.columns)
+    hats_y = hats(y * per_px[1], LATTICE.rows)
+    hats_s = hats(s * (LATTICE.times - 1.0), LATTICE.times)
+    return np.einsum("ni,nj,nk->nijk", hats_x, hats_y, hats_s)
+
+
+def voted(position, weights, scale, shape):
+    """Bilinear votes; the sensor's pixel (0, 0) has its centre at (margin + 1/2) * scale."""
+    image = np.zeros(shape)
+    at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
+    inside = (at[0] >= 1) & (at[1] >= 1) & (at[0] < shape[1] - 2) & (at[1] < shape[0] - 2)
+    at, weights = at[:, inside], weights[inside]
+    (j, i), (fx, fy) = np.floor(at).astype(int), at % 1
+    for di, dj, share in (
+        (0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)
+    ):  # fmt: skip
+        np.add.at(image, (i + di, j + dj), weights * share)
+    return image
+
+
+def dense(band):
+    """Symmetric matrix of lower band storage."""
+    n = len(band)
+    matrix = np.zeros((n, n))
+    for d in range(band.shape[1]):
+        at = np.arange(n - d)
+        matrix[at + d, at] = matrix[at, at + d] = band[: n - d, d]
+    return matrix
+
+
+@pytest.mark.parametrize("ref", [0.0, 0.5, 1.0])
+def test_warp(rng, ref):
+    x, y, s, _ = random_events(rng)
+    flow = rng.normal(scale=8, size=LATTICE.shape).astype(np.float32)
+    acceleration = rng.normal(scale=3, size=(5, 4, 2)).astype(np.float32)
+    out = np.empty((2, EVENTS), np.float32)
+    kernels.warp(x, y, s, ref, flow, acceleration, LATTICE.per_px, out)
+    weights = node_weights(x, y, s)
+    u = np.einsum("nijk,ijkd->dn", weights, flow)
+    a = np.einsum("nijk,ijd->dn", weights, acceleration)
+    dt = ref - s
+    np.testing.assert_allclose(out, np.stack([x, y]) + dt * u + 0.5 * dt**2 * a, atol=5e-5)
+
+
+@pytest.mark.parametrize("scale", [0.25, 0.5, 1.0])
+def test_vote(rng, scale):
+    position = rng.uniform(-40, 160, (2, EVENTS)).astype(np.float32)  # many are far outside
+    weights = rng.normal(size=EVENTS).astype(np.float32)
+    image = np.full((int(114 * scale) + 1, int(144 * scale) + 1), 7, np.float32)
+    kernels.vote(position, weights, scale, image)
+    np.testing.assert_allclose(image, voted(position, weights, scale, image.shape), atol=5e-4)
+
+
+def test_a_vote_on_a_pixel_falls_there():
+    image = np.zeros((114, 144), np.float32)
+    kernels.vote(np.array([[30.0], [20.0]], np.float32), np.float32([2.5]), 1.0, image)
+    assert image[20 + kernels.MARGIN, 30 + kernels.MARGIN] == 2.5
+    assert np.count_nonzero(image) == 1
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0])
+def test_blur(rng, sigma):
+    image = rng.normal(size=(41, 57)).astype(np.float32)
+    half = gaussian(sigma)
+    taps = np.concatenate([half[:0:-1], half]).astype(np.float64)
+    expected = convolve1d(convolve1d(image.astype(np.float64), taps, 0, mode="constant"), taps, 1,
+                          mode="constant")  # fmt: skip
+    out, scratch = np.empty_like(image), np.empty_like(image)
+    kernels.blur(image, half, scratch, out)
+    np.testing.assert_allclose(out, expected, atol=1e-6)
+    kernels.blur(image, half, scratch, image)  # in place
+    np.testing.assert_array_equal(image, out)
+
+
+def test_blur_of_an_image_smaller_than_the_kernel():
+    image, half = np.ones((2, 2), np.float32), gaussian(2.0)
+    kernels.blur(image, half, np.empty_like(image), image)
+    np.testing.assert_allclose(image, (half[0] + half[1]) ** 2, rtol=1e-6)
+
+
+def slow_pull(x, y, s, weights, ref, position, potential, scale):
+    """Gradient (n,) and curvature (n, n) of the lattice, event by event."""
+    n = LATTICE.unknowns
+    gradient, curvature = np.zeros(n), np.zeros((n, n))
+    basis = node_weights(x, y, s).reshape(EVENTS, -1)
+    p = potential.astype(np.float64)
+    at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
+    for k in range(EVENTS):
+        (j, i), (fx, fy) = np.floor(at[:, k]).astype(int), at[:, k] % 1
+        if min(at[:, k]) < 1 or at[0, k] >= p.shape[1] - 2 or at[1, k] >= p.shape[0] - 2:
+            continue
+        dt = (ref - s[k]) * scale
+        slope = [
+            (1 - fy) * (p[i, j + 1] - p[i, j]) + fy * (p[i + 1, j + 1] - p[i + 1, j]),
+            (1 - fx) * (p[i + 1, j] - p[i, j]) + fx * (p[i + 1, j + 1] - p[i, j + 1]),
+        ]
+        gradient += np.outer(basis[k], weights[k] * dt * np.array(slope)).ravel()
+        j, i = np.floor(at[:, k] + 0.5).astype(int)
+        xx = p[i, j - 1] - 2 * p[i, j] + p[i, j + 1]
+        yy = p[i - 1, j] - 2 * p[i, j] + p[i + 1, j]
+        xy = (p[i + 1, j + 1] + p[i - 1, j - 1] - p[i - 1, j + 1] - p[i + 1, j - 1]) / 4
+        values, vectors = eigh(-weights[k] * dt**2 * np.array([[xx, xy], [xy, yy]]))
+        stiffness = (vectors * np.maximum(values, 0)) @ vectors.T  # positive semidefinite part
+        curvature += np.kron(np.outer(basis[k], basis[k]), stiffness)
+    return gradient, curvature
+
+
+def fast_pull(events, ref, position, potential, scale, stride, factor=1.0):
+    gradient = np.zeros((*CELLS, 2, 8), np.float32)
+    curvature = np.zeros((*CELLS, 8, 3, 8), np.float32)
+    kernels.pull(
+        *events, ref, position, potential, scale, LATTICE.per_px, stride, gradient, curvature
+    )
+    vector = np.zeros(LATTICE.unknowns)
+    band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
+    kernels.gather_cells(gradient, curvature, factor, vector, band)
+    return vector, dense(band)
+
+
+def smooth_image(rng, shape):
+    image = rng.normal(size=shape).astype(np.float32)
+    kernels.blur(image, gaussian(1.0), np.empty_like(image), image)
+    return image
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0])
+def test_pull_and_gathering_are_the_dense_sums_over_events(rng, scale):
+    events = random_events(rng)
+    position = rng.uniform(-15, 135, (2, EVENTS)).astype(np.float32)
+    potential = smooth_image(rng, (int(114 * scale) + 1, int(144 * scale) + 1))
+    expected_vector, expected = slow_pull(*events, 0.5, position, potential, scale)
+    vector, matrix = fast_pull(events, 0.5, position, potential, scale, 1)
+    # Sums of some hundred float32 terms of either sign.
+    np.testing.assert_allclose(vector, expected_vector, atol=1e-5 * np.abs(expected_vector).max())
+    np.testing.assert_allclose(matrix, expected, atol=1e-5 * expected.max())
+    assert np.linalg.eigvalsh(matrix).min() > -1e-5 * expected.max()
+
+
+def test_factor_and_stride_of_the_curvature(rng):
+    """Each stride-th event counts for all: exact for events that come stride times."""
+    events = tuple(np.repeat(column[: EVENTS // 2], 2) for column in random_events(rng))
+    position = np.repeat(rng.uniform(0, 90, (2, EVENTS // 2)).astype(np.float32), 2, axis=1)
+    potential = smooth_image(rng, (115, 145))
+    vector, matrix = fast_pull(events, 0.5, position, potential, 1.0, 1)
+    same, sparse = fast_pull(events, 0.5, position, potential, 1.0, 2, factor=3.0)
+    np.testing.assert_allclose(same, 3 * vector, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(sparse, 3 * matrix, atol=1e-5 * matrix.max())
+
+
+def test_stencil_and_differences_in_time_are_d_transposed_w_d(rng):
+    nodes, times = LATTICE.columns * LATTICE.rows, LATTICE.times
+    flow = rng.normal(size=(nodes, times, 2))
+    weight, limit, in_time = 0.7, 0.4, 1.3
+    band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
+    vector = np.zeros(LATTICE.unknowns)
+    matrix, pull = np.zeros((LATTICE.unknowns,) * 2), np.zeros(LATTICE.unknowns)
+    per_value = np.eye(2 * times)
+    for members, coefficients in LATTICE.second_differences:
+        kernels.add_stencil(flow, members, coefficients, weight, limit, vector, band)
+        for row in members:
+            combination = np.zeros((1, nodes))
+            combination[0, row] = coefficients
+            d = np.kron(combination, per_value)
+            z = d @ flow.ravel()
+            stiffness = weight / np.sqrt(1 + z @ z / (times * limit**2))
+            matrix += stiffness * d.T @ d
+            pull -= stiffness * d.T @ z
+    kernels.add_differences_in_time(flow, in_time, vector, band)
+    d = np.kron(np.eye(nodes), np.kron(np.diff(np.eye(times), axis=0), np.eye(2)))
+    matrix += in_time * d.T @ d
+    pull -= in_time * d.T @ d @ flow.ravel()
+    np.testing.assert_allclose(dense(band), matrix, atol=1e-12)
+    np.testing.assert_allclose(vector, pull, atol=1e-12)
+
+
+def test_the_stencils_pull_is_the_gradient_of_charbonnier(rng):
+    nodes, coefficients = np.array([[0, 1, 2], [5, 6, 7]]), np.array([1.0, -2.0, 1.0])
+    weight, limit = 0.7, 0.4
+
+    def penalty(flow):
+        z = np.einsum("k,mkqd->mqd", coefficients, flow[nodes])
+        mean_square = (z**2).sum((1, 2)) / flow.shape[1]
+        return (weight * flow.shape[1] * limit**2 * np.sqrt(1 + mean_square / limit**2)).sum()
+
+    flow = rng.normal(size=(10, 3, 2))
+    vector, band = np.zeros(60), np.zeros((60, 25))
+    kernels.add_stencil(flow, nodes, coefficients, weight, limit, vector, band)
+    for n in range(60):
+        step = 1e-5 * (np.arange(60) == n).reshape(flow.shape)
+        slope = (penalty(flow + step) - penalty(flow - step)) / 2e-5
+        assert vector[n] == pytest.approx(-slope, abs=1e-8)
