@@ -147,10 +147,10 @@ def score(
     recording: SimulatedRecording, windows: Sequence[Window], config: Config, cold_every: int
 ) -> list[Score]:
     """Estimate the windows one after another, some of them cold, too, and assess them."""
-    compiling = make_estimator(recording.camera, config)
-    for window in windows[:2]:
-        timed(compiling, window)
     estimator = make_estimator(recording.camera, config)
+    for window in windows[:2]:  # compiles, where that was not done before
+        estimator.estimate(window)
+    estimator.reset()
     estimates = [timed(estimator, window) for window in windows]
     cold_seconds = np.full(len(windows), np.nan)
     for k in range(0, len(windows), cold_every):
