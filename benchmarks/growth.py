@@ -132,6 +132,7 @@ def _measure(args: argparse.Namespace) -> None:
     }
     print(table("events", by_events, lines["events"]))
     print(table("pixels", by_pixels, lines["pixels"]))
+    print(f"resident at the start, torch and other libraries alone: {at_start:.0f} MiB")
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(report, indent=2) + "\n")
     plot = args.out.with_suffix(".png")
