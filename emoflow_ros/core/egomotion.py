@@ -22,32 +22,37 @@ _DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
 _REWEIGHTINGS = 4
 
 
+MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
+
+
 @dataclass(frozen=True)
 class Residuals:
-    """DEC residuals of all nodes and times, linearised.
+    """Residuals of all nodes and times, linearised.
 
     Attributes:
         r: (nodes, times) px per window.
-        normal: (nodes, times, 2) its derivative by the flow.
-        by_motion: (nodes, times, 24) its derivative by the control points (w, then v).
+        by_flow: (nodes, times, 2) its derivative by the node's flow, a unit vector.
+        by_motion: (nodes, times, 25) its derivative by the motion's unknowns.
     """
 
     r: Array
-    normal: Array
+    by_flow: Array
     by_motion: Array
 
 
-@dataclass
+@dataclass(frozen=True)
 class Motion:
-    """Control points of the egomotion's spline, for one window.
+    """The egomotion's unknowns in one window; as a vector (25,) w, then v, then speed.
 
     Attributes:
-        w: (4, 3) angular velocity, rad per window.
-        v: (4, 3) direction of the linear velocity; the mean has unit norm.
+        w: (4, 3) control points of the angular velocity, rad per window.
+        v: (4, 3) control points of the linear velocity's direction; their mean has unit norm.
+        speed: distance travelled, over that in the window that the structure is known from.
     """
 
     w: Array
     v: Array
+    speed: float = 1.0
 
     @classmethod
     def constant(cls, w: Array, v: Array) -> "Motion":
@@ -61,10 +66,10 @@ class Motion:
         return weights @ self.w, v / np.linalg.norm(v)
 
     def moved(self, step: Array) -> "Motion":
-        """Add a step (24,), w then v, and bring v back to unit scale."""
+        """Add a step (25,) and bring v back to unit scale."""
         w = self.w + step[:12].reshape(CONTROL_POINTS, 3)
-        v = self.v + step[12:].reshape(CONTROL_POINTS, 3)
-        return Motion(w, v / np.linalg.norm(v.mean(axis=0)))
+        v = self.v + step[12:24].reshape(CONTROL_POINTS, 3)
+        return Motion(w, v / np.linalg.norm(v.mean(axis=0)), self.speed + float(step[24]))
 
 
 class NodeEpipolar:
@@ -90,7 +95,7 @@ class NodeEpipolar:
         self._basis = basis(np.linspace(0, 1, lattice.times))
         # Near the focus of expansion the line's direction is undefined: fade it out there.
         self.px_per_rad = float(np.sqrt(camera.fx * camera.fy))
-        self._soft = 1e-3 * self.px_per_rad
+        self.soft = 1e-3 * self.px_per_rad
         self._directions = _hemisphere(_DIRECTIONS)
         self._normals = self._normal_fields(self._directions)
 
@@ -99,25 +104,49 @@ class NodeEpipolar:
         return self.usable[:, None] / (1 + (r / self.inlier_px) ** 2) ** 2
 
     def residuals(self, flow: Array, motion: Motion) -> Residuals:
-        """Evaluate and linearise the DEC.
+        """Evaluate and linearise the DEC: the flow across the epipolar lines.
 
         Args:
             flow: (nodes, times, 2) px per window.
             motion: the egomotion.
         """
-        v = self._basis @ motion.v
-        translational = flow - self.rotational_flow(motion)
-        line = np.einsum("nij,tj->nti", self.a, v)
-        norm = np.sqrt((line**2).sum(-1) + self._soft**2)
+        translational, line, norm = self._translation(flow, motion)
         normal = np.stack([-line[..., 1], line[..., 0]], -1) / norm[..., None]
         r = (normal * translational).sum(-1)
-        by_w = -np.einsum("nti,nij->ntj", normal, self.b)
         turned = np.stack([translational[..., 1], -translational[..., 0]], -1)
         by_line = (turned - (r / norm)[..., None] * line) / norm[..., None]
+        return Residuals(r, normal, self._by_motion(normal, by_line, np.zeros_like(r)))
+
+    def structure_residuals(self, flow: Array, motion: Motion, inverse_depth: Array) -> Residuals:
+        """Evaluate and linearise the flow along the epipolar lines against a known depth.
+
+        Args:
+            flow, motion: as in `residuals`.
+            inverse_depth: (nodes,), see `structure.Structure`.
+        """
+        translational, line, norm = self._translation(flow, motion)
+        along = line / norm[..., None]
+        length = (along * translational).sum(-1)
+        known = inverse_depth[:, None] * norm
+        across = translational - length[..., None] * along
+        stretch = motion.speed * inverse_depth[:, None, None] * along
+        by_line = across / norm[..., None] - stretch
+        r = length - motion.speed * known
+        return Residuals(r, along, self._by_motion(along, by_line, -known))
+
+    def _translation(self, flow: Array, motion: Motion) -> tuple[Array, Array, Array]:
+        """Return translational flow and epipolar line, (nodes, times, 2), and the line's norm."""
+        line = np.einsum("nij,tj->nti", self.a, self._basis @ motion.v)
+        norm = np.sqrt((line**2).sum(-1) + self.soft**2)
+        return flow - self.rotational_flow(motion), line, norm
+
+    def _by_motion(self, by_flow: Array, by_line: Array, by_speed: Array) -> Array:
+        """Chain derivatives by flow and line to those by the motion's unknowns."""
+        by_w = -np.einsum("nti,nij->ntj", by_flow, self.b)
         by_v = np.einsum("nti,nij->ntj", by_line, self.a)
-        by_motion = [np.einsum("tk,ntj->ntkj", self._basis, d) for d in (by_w, by_v)]
-        shape = (*r.shape, 3 * CONTROL_POINTS)
-        return Residuals(r, normal, np.concatenate([d.reshape(shape) for d in by_motion], -1))
+        shape = (*by_speed.shape, 3 * CONTROL_POINTS)
+        points = [np.einsum("tk,ntj->ntkj", self._basis, d).reshape(shape) for d in (by_w, by_v)]
+        return np.concatenate([*points, by_speed[..., None]], axis=-1)
 
     def rotational_flow(self, motion: Motion) -> Array:
         """Flow of the motion's rotation, (nodes, times, 2) px per window."""
@@ -176,7 +205,7 @@ class NodeEpipolar:
     def _normal_fields(self, v: Array) -> Array:
         """Unit normals of the epipolar lines for directions v (M, 3), (M, nodes, 2)."""
         line = np.tensordot(v, self.a, axes=(1, 2))
-        norm = np.sqrt((line**2).sum(-1, keepdims=True) + self._soft**2)
+        norm = np.sqrt((line**2).sum(-1, keepdims=True) + self.soft**2)
         return np.stack([-line[..., 1], line[..., 0]], -1) / norm
 
     def _best_rotations(

@@ -11,6 +11,7 @@ from scipy.ndimage import map_coordinates
 
 from emoflow_ros.core import kernels
 
+_MOST_NODES = 18
 _SUBSTEPS = 4  # midpoint steps per window of the dense products; error below 1e-3 px
 
 
@@ -34,7 +35,12 @@ class Lattice:
 
     @classmethod
     def with_spacing(cls, width: int, height: int, spacing_px: float) -> "Lattice":
-        """Build the lattice whose nodes are about `spacing_px` apart."""
+        """Build the lattice whose nodes are about `spacing_px` apart, or more on large sensors.
+
+        A lattice finer against the image than _MOST_NODES along its longer side would cost
+        more than all events do.
+        """
+        spacing_px = max(spacing_px, (max(width, height) - 1) / (_MOST_NODES - 1))
         columns = max(3, round((width - 1) / spacing_px) + 1)
         rows = max(3, round((height - 1) / spacing_px) + 1)
         return cls(width, height, columns, rows)
@@ -113,6 +119,13 @@ class Lattice:
         for d in range(2):
             map_coordinates(still[..., d], where, out[d], order=1, mode="nearest")
         return out.T
+
+    def interpolate(
+        self, values: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Interpolate values at the nodes (nodes,) at points (N, 2) px, (N,)."""
+        grid = values.reshape(self.columns, self.rows)
+        return map_coordinates(grid, (points * self.per_px).T, order=1, mode="nearest")
 
     def at_time(self, flow: NDArray[np.float32], s: float) -> NDArray[np.float32]:
         """Interpolate a field in time, (columns, rows, 2)."""

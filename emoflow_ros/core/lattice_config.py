@@ -78,6 +78,12 @@ class LatticeConfig:
         minimum=0.1,
         maximum=1e5,
     )
+    depth_drift: float = option(
+        0.15,
+        "relative change of the scene's inverse depths between windows that is expected",
+        minimum=1e-3,
+        maximum=1e3,
+    )
     min_contrast_gain: float = option(
         1.08,
         "contrast of the warped over that of the unwarped events below which nothing moves",

@@ -18,6 +18,7 @@ from emoflow_ros.core.lattice_fit import TO_MIDDLE, FreeFlow, LatticeFit, Motion
 from emoflow_ros.core.normal_equations import NotPositiveDefiniteError
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.spline import SplineMotion
+from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.windows import NS_PER_S, Window
 
 Array = NDArray[np.float64]
@@ -40,6 +41,7 @@ class _Last:
     flow: NDArray[np.float32]
     motion: Motion
     belief: Belief | None
+    structure: Structure | None
 
 
 class LatticeEstimator:
@@ -115,12 +117,14 @@ class LatticeEstimator:
         fit.flow = np.zeros(self.lattice.shape, np.float32)
         fit.flow += best_constant_flow(fit.contrasts[0.25], few, _SEARCH_REACH_PX)
         fit.motion = None
+        fit.structure = None
         for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
             for _ in range(steps):
                 fit.linearise(events, scale)
                 fit.step_free()
                 self._iterations += 1
-        free = fit.free_flow(fit.linearise(events, 1.0))
+        fit.linearise(events, 1.0)
+        free = fit.free_flow()
         v, w, cost = self._epipolar.search(free.flow, free.information)
         best = int(cost.argmin())
         fit.motion = Motion.constant(w[best], v[best])
@@ -144,6 +148,14 @@ class LatticeEstimator:
         w, v = last.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v)
         prior = self._prior(window, last)
+        fit.structure = last.structure and last.structure.predict(
+            self.lattice,
+            self._epipolar,
+            mean.reshape(-1, 2).astype(np.float64),
+            ahead,
+            v,
+            self.config.depth_drift,
+        )
         few = events.every(max(1, len(events) // _COARSE_EVENTS))
         for scale, steps in ((0.25, 2), (0.5, 1)):
             for _ in range(steps):
@@ -172,8 +184,9 @@ class LatticeEstimator:
             last = k == steps - 1 or fit.step_px < _CONVERGED_PX
             if k > 0 and prior is not None and self._late():
                 stop, last = "deadline", True
-            information = fit.linearise(events, 1.0)
-            if last and self._reconsider(fit.free_flow(information)):
+            fit.linearise(events, 1.0)
+            if last and self._reconsider(fit.free_flow()):
+                fit.structure = None
                 self._step(None)
                 fit.linearise(events, 1.0)
                 prior = None
@@ -234,16 +247,18 @@ class LatticeEstimator:
         belief = Belief.from_information(
             middle, w / window.duration, v, reduced * np.outer(unit, unit)
         )
-        self._last = _Last(
-            window.t_start, window.t_end, fit.flow, fit.motion, belief if full else None
+        structure = Structure.observe(
+            self._epipolar, fit.node_flow.mean(axis=1), (w, v), fit.evidence, fit.structure
         )
+        self._last = _Last(
+            window.t_start, window.t_end, fit.flow, fit.motion,
+            belief if full else None, structure if full else None,
+        )  # fmt: skip
         covariance = belief.across()
         if not full:
             covariance[:3], covariance[:, :3] = 0.0, 0.0
             covariance[0, 0] = -1.0
-        residual = self._epipolar.residuals(
-            fit.flow.reshape(-1, self.lattice.times, 2).astype(np.float64), fit.motion
-        ).r[self._epipolar.usable]
+        residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
         return Estimate(
             window.t_start,

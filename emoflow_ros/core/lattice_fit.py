@@ -5,20 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.belief import INFORMATION_EXCESS
 from emoflow_ros.core.contrast import Contrast, WindowEvents
-from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar, Residuals
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.spline import CONTROL_POINTS, basis
+from emoflow_ros.core.structure import Structure
 
 Array = NDArray[np.float64]
 
 SCALES = (0.25, 0.5, 1.0)
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
 
-# w and v in the middle of the window from the control points (w, then v), (6, 24).
-TO_MIDDLE = np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3)))
+_STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
+_STRUCTURE_INLIER_PX = 1.0
+
+# w and v in the middle of the window from the motion's unknowns, (6, 25).
+TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,9 @@ class LatticeFit:
     Attributes:
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion, or None before the flow is good enough to look for it.
-        information: (24, 24) on the motion's control points after the last coupled step.
+        structure: inverse depths known from earlier windows, or None.
+        evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
+        information: (25, 25) on the motion's unknowns after the last step with a motion.
         step_px: root mean square of the last step of the flow.
     """
 
@@ -64,7 +71,9 @@ class LatticeFit:
         self.contrasts = {scale: Contrast(lattice, scale) for scale in SCALES}
         self.flow = np.zeros(lattice.shape, np.float32)
         self.motion: Motion | None = None
-        self.information = np.zeros((6 * CONTROL_POINTS, 6 * CONTROL_POINTS))
+        self.structure: Structure | None = None
+        self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
+        self.information = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
         self.step_px = 0.0
         self._equations = NormalEquations(lattice)
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
@@ -73,31 +82,27 @@ class LatticeFit:
         self._roughness = np.kron(roughness, np.eye(3)).astype(np.float64)
 
     @property
-    def _node_flow(self) -> Array:
+    def node_flow(self) -> Array:
+        """The flow as (nodes, times, 2)."""
         return self.flow.reshape(-1, self.lattice.times, 2).astype(np.float64)
 
-    def linearise(self, events: WindowEvents, scale: float) -> Array:
-        """Set up the normal equations of contrast and smoothness at the present flow.
-
-        Returns:
-            The events' information on each node, (nodes, 2, 2).
-        """
+    def linearise(self, events: WindowEvents, scale: float) -> None:
+        """Set up the normal equations of contrast and smoothness at the present flow."""
         equations, config = self._equations, self.config
         equations.clear()
         contrast = self.contrasts[scale]
         contrast.linearise(events, self.flow, equations.vector, equations.band)
-        information = equations.node_information()
+        self.evidence = equations.node_information()
         equations.band[:, 0] += _RIDGE
         self.lattice.smoothness(
             self.flow, config.smoothness, config.edge_px, config.smoothness_in_time,
             equations.vector, equations.band,
         )  # fmt: skip
-        return information
 
-    def free_flow(self, information: Array) -> FreeFlow:
+    def free_flow(self) -> FreeFlow:
         """Solve the present normal equations without the epipolar constraint."""
         step = self._equations.solve().reshape(-1, self.lattice.times, 2)
-        return FreeFlow((self._node_flow + step).mean(axis=1), information)
+        return FreeFlow((self.node_flow + step).mean(axis=1), self.evidence)
 
     def step_free(self) -> None:
         """Step the flow by contrast and smoothness alone."""
@@ -107,7 +112,7 @@ class LatticeFit:
         """Step the flow towards a pure rotation, and the rotation towards the flow."""
         epipolar = self.epipolar
         motion = self._require_motion()
-        flow = self._node_flow
+        flow = self.node_flow
         rotation = epipolar.rotational_flow(motion)
         residual = flow - rotation
         weight = self.config.dec_weight * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
@@ -127,29 +132,46 @@ class LatticeFit:
             corner_vector -= np.einsum("nti,nt->i", weighted, residual[..., d])
         step, change, information = equations.solve_bordered(border, corner, corner_vector)
         half = 3 * CONTROL_POINTS
-        self.information[:] = np.eye(2 * half)
+        self.information = np.eye(MOTION_UNKNOWNS)
         self.information[:half, :half] = information
-        self.motion = motion.moved(np.concatenate([change, np.zeros(half)]))
+        self.motion = motion.moved(np.concatenate([change, np.zeros(half + 1)]))
         self._move(step)
 
     def step_coupled(self, prior: MotionPrior | None) -> None:
         """Step flow and egomotion together, tied by the epipolar constraint."""
         motion = self._require_motion()
-        residuals = self.epipolar.residuals(self._node_flow, motion)
-        weight = self.config.dec_weight * self.epipolar.robust_weight(residuals.r)
-        self._equations.add_rows(residuals.normal, weight, residuals.r)
-        weighted = weight[..., None] * residuals.by_motion
-        unknowns = 6 * CONTROL_POINTS
-        border = (residuals.normal[..., None] * weighted[:, :, None, :]).reshape(-1, unknowns)
-        rows = residuals.by_motion.reshape(-1, unknowns)
-        corner = weighted.reshape(-1, unknowns).T @ rows
-        corner_vector = -weighted.reshape(-1, unknowns).T @ residuals.r.ravel()
+        border = np.zeros((self.lattice.unknowns, MOTION_UNKNOWNS))
+        corner = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
+        corner_vector = np.zeros(MOTION_UNKNOWNS)
+        dec = self.epipolar.residuals(self.node_flow, motion)
+        terms = [(dec, self.config.dec_weight * self.epipolar.robust_weight(dec.r))]
+        if self.structure is not None:
+            terms.append(self._structure_term(motion, self.structure))
+        for residuals, weight in terms:
+            self._equations.add_rows(residuals.by_flow, weight, residuals.r)
+            weighted = weight[..., None] * residuals.by_motion
+            border += (residuals.by_flow[..., None] * weighted[:, :, None, :]).reshape(border.shape)
+            rows = residuals.by_motion.reshape(-1, MOTION_UNKNOWNS)
+            weighted = weighted.reshape(-1, MOTION_UNKNOWNS)
+            corner += weighted.T @ rows
+            corner_vector -= weighted.T @ residuals.r.ravel()
         self._add_motion_priors(motion, prior, corner, corner_vector)
         step, change, self.information = self._equations.solve_bordered(
             border, corner, corner_vector
         )
         self.motion = motion.moved(change)
         self._move(step)
+
+    def _structure_term(self, motion: Motion, structure: Structure) -> tuple[Residuals, Array]:
+        residuals = self.epipolar.structure_residuals(
+            self.node_flow, motion, structure.inverse_depth
+        )
+        v = motion.at(0.5)[1]
+        squared = ((self.epipolar.a @ v) ** 2).sum(-1) + self.epipolar.soft**2
+        variance = (squared / structure.information)[:, None]
+        share = _STRUCTURE_TRUST * INFORMATION_EXCESS / self.lattice.times
+        outlier = residuals.r**2 / (9 * variance + _STRUCTURE_INLIER_PX**2)
+        return residuals, self.epipolar.usable[:, None] * share / variance / (1 + outlier) ** 2
 
     @property
     def _rotation_stiffness(self) -> float:
@@ -159,19 +181,20 @@ class LatticeFit:
         self, motion: Motion, prior: MotionPrior | None, corner: Array, corner_vector: Array
     ) -> None:
         """Add the spline's smoothness, v's scale and the belief of earlier windows."""
-        half = 3 * CONTROL_POINTS
+        points = 3 * CONTROL_POINTS
+        of_w, of_v = slice(0, points), slice(points, 2 * points)
         # v has no unit of its own: its stiffness goes by the evidence at hand.
-        evidence = float(np.trace(corner[half:, half:])) / half
-        for part, points, stiffness in (
-            (slice(0, half), motion.w, self._rotation_stiffness),
-            (slice(half, None), motion.v, self.config.spline_roughness * evidence),
+        evidence = float(np.trace(corner[of_v, of_v])) / points
+        for part, values, stiffness in (
+            (of_w, motion.w, self._rotation_stiffness),
+            (of_v, motion.v, self.config.spline_roughness * evidence),
         ):
             corner[part, part] += stiffness * self._roughness
-            corner_vector[part] -= stiffness * self._roughness @ points.ravel()
+            corner_vector[part] -= stiffness * self._roughness @ values.ravel()
         mean = np.tile(motion.v.mean(axis=0), CONTROL_POINTS) / CONTROL_POINTS
-        corner[half:, half:] += evidence * np.outer(mean, mean)
+        corner[of_v, of_v] += evidence * np.outer(mean, mean)
         if prior is not None:
-            present = TO_MIDDLE @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
+            present = TO_MIDDLE[:, :-1] @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
             corner += TO_MIDDLE.T @ prior.information @ TO_MIDDLE
             corner_vector -= TO_MIDDLE.T @ prior.information @ (present - prior.mean)
         diagonal = np.diag_indices_from(corner)

@@ -14,12 +14,13 @@ Array = NDArray[np.float64]
 
 _FORGETTING = 0.6  # weight of the past against the present window
 
-# Measured on rotations and on translations past flat rooms (docs/method.md):
-# a pure rotation leaves of the flow only its error, below this at half of the nodes ...
-_FLOW_ERROR_PX = 0.35
-_FLOW_ERROR_SHARE = 0.015
+# Measured on rotations and on translations past flat walls (docs/method.md). A pure
+# rotation leaves only the flow's own error: less than these at half of the nodes ...
+_ERROR_PX = 0.8
+_ERROR_SHARE = 0.06
 # ... and the full model, with a depth for each node, lowers the cost by this factor anyway.
 _FREEDOM = 3.2
+_NOTHING_SHARE = 0.015  # so little that there is nothing else to explain
 _HYSTERESIS = 1.25
 
 
@@ -30,14 +31,16 @@ class ModelSelector:
     Attributes:
         agreement: share of the translational flow in front of the camera minus that behind
             (cheirality), for +v; its sign decides v's.
-        residual: what a pure rotation leaves of the flow, over the flow's own error.
+        residual_px: what a pure rotation leaves of the flow at half of the nodes.
+        residual_share: the same over the flow itself.
         advantage: cost of the best rotation over that of the best full motion, over what
             the freedom of the latter brings by itself; logarithm.
         model: the present decision.
     """
 
     agreement: float = 0.0
-    residual: float = 0.0
+    residual_px: float = 0.0
+    residual_share: float = 0.0
     advantage: float = 0.0
     model: MotionModel = MotionModel.FULL
     windows: int = 0
@@ -56,24 +59,32 @@ class ModelSelector:
         agreement = cheirality(epipolar.bearings, flow, v, w, evidence)
         rotation, rotation_cost = epipolar.rotation(free.flow, free.information)
         _, full_cost = epipolar.score(v, free.flow, free.information)
-        left = np.linalg.norm(free.flow - epipolar.b @ rotation, axis=-1)
-        speed = _weighted_median(np.linalg.norm(free.flow, axis=-1), evidence)
-        error = max(_FLOW_ERROR_PX, _FLOW_ERROR_SHARE * speed)
+        left = _evident_norm(free.flow - epipolar.b @ rotation, free.information)
+        speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
+        median = _weighted_median(left, evidence)
         past = _FORGETTING if self.windows else 0.0
-        self.agreement = past * self.agreement + (1 - past) * agreement
-        self.residual = past * self.residual + (1 - past) * (
-            _weighted_median(left, evidence) / error
-        )
-        self.advantage = past * self.advantage + (1 - past) * float(
-            np.log(rotation_cost / (_FREEDOM * full_cost + 1e-12) + 1e-12)
-        )
+        for name, value in (
+            ("agreement", agreement),
+            ("residual_px", median),
+            ("residual_share", median / max(speed, 1e-6)),
+            ("advantage", float(np.log(rotation_cost / (_FREEDOM * full_cost + 1e-12) + 1e-12))),
+        ):
+            setattr(self, name, past * getattr(self, name) + (1 - past) * value)
         self.windows += 1
         slack = _HYSTERESIS if self.model is MotionModel.ROTATION else 1.0
-        rotates = self.residual < slack or (
-            self.residual < 2 * slack and self.advantage < np.log(slack)
+        rotates = self.residual_share < _NOTHING_SHARE * slack or (
+            self.residual_px < _ERROR_PX * slack
+            and self.residual_share < _ERROR_SHARE * slack
+            and self.advantage < np.log(slack)
         )
         self.model = MotionModel.ROTATION if rotates else MotionModel.FULL
         return self.model
+
+
+def _evident_norm(flow: Array, information: Array) -> Array:
+    """Norm of each node's flow in the directions that events see: edges hide one."""
+    seen = ((flow[:, None] @ information)[:, 0] * flow).sum(-1)
+    return np.sqrt(2 * seen / (np.trace(information, axis1=1, axis2=2) + 1e-12))
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
