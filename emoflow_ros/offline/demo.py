@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from emoflow_ros.cli import run
@@ -37,6 +40,7 @@ _EVENTS = "/davis/left/events"
 _EVENTS_TYPE = "dvs_msgs/msg/EventArray"
 _DOMAIN = "86"
 _WAIT_S = 120.0
+_QUIET_S = 1.0
 _STOP_S = 5.0
 _EXIT_INCOMPLETE = 1
 
@@ -101,7 +105,9 @@ class _Subscriber(Node):
         super().__init__("demo")
         self.collected = Collected()
         self._decoder = make_decoder(_EVENTS_TYPE, "cdr")
-        self.create_subscription(TwistStamped, "/egomotion/twist", self._take_twist, 100)
+        self.twists = self.create_subscription(
+            TwistStamped, "/egomotion/twist", self._take_twist, 100
+        )
         # Replay starts with the first subscriber, and that shall be the node.
         self._wait = self.create_timer(0.02, self._follow_the_node)
 
@@ -126,32 +132,43 @@ class _Subscriber(Node):
 
 def _replay_through_node(bag: Path) -> Collected:
     """Run node, replay and subscriber until all twists have come."""
-    estimator = subprocess.Popen([_executable("estimator")], start_new_session=True)
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         subscriber = _Subscriber()
-        replay = subprocess.Popen(
-            [_executable("replay"), str(bag), "--wait", str(_WAIT_S)], start_new_session=True
-        )
-        while replay.poll() is None:
-            if estimator.poll() is not None:
-                replay.kill()
-                raise InputError("estimator", "the node ended", "see its message above")
-            rclpy.spin_once(subscriber, timeout_sec=0.1)
-        quiet_since = time.monotonic()
-        while time.monotonic() - quiet_since < 1.0:
-            before = len(subscriber.collected.twists)
-            rclpy.spin_once(subscriber, timeout_sec=0.1)
-            if len(subscriber.collected.twists) > before:
-                quiet_since = time.monotonic()
+        with _running("estimator") as estimator:
+            while not subscriber.twists.get_publisher_count():
+                _spin_with(subscriber, estimator)
+            with _running("replay", str(bag), "--wait", str(_WAIT_S)) as replay:
+                while replay.poll() is None:
+                    _spin_with(subscriber, estimator)
+            quiet_since = time.monotonic()
+            while time.monotonic() - quiet_since < _QUIET_S:
+                before = len(subscriber.collected.twists)
+                _spin_with(subscriber, estimator)
+                if len(subscriber.collected.twists) > before:
+                    quiet_since = time.monotonic()
         return subscriber.collected
     finally:
-        estimator.send_signal(signal.SIGINT)
-        try:
-            estimator.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            estimator.kill()
         try_shutdown()
+
+
+@contextmanager
+def _running(name: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen([_executable(name), *arguments], start_new_session=True)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)  # nothing happens if it has ended
+        try:
+            process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+def _spin_with(subscriber: _Subscriber, estimator: subprocess.Popen[bytes]) -> None:
+    if estimator.poll() is not None:
+        raise InputError("estimator", "the node ended", "see its message above")
+    rclpy.spin_once(subscriber, timeout_sec=0.1)
 
 
 def _show(collected: Collected, estimates: Estimates, truth: Truth, folder: Path) -> int:

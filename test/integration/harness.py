@@ -18,6 +18,7 @@ from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image
 
 from emoflow_ros.core.camera import Camera
@@ -65,18 +66,27 @@ class Peer:
         self.covariances: list[TwistWithCovarianceStamped] = []
         self.diagnostics: list[DiagnosticArray] = []
         self.images: list[Image] = []
-        subscribe = self.node.create_subscription
-        subscribe(TwistStamped, "/egomotion/twist", self.twists.append, 100)
-        subscribe(
-            TwistWithCovarianceStamped,
-            "/egomotion/twist_with_covariance",
-            self.covariances.append,
-            100,
+        self._outputs: list[Subscription] = []
+        self._subscribe(TwistStamped, "/egomotion/twist", self.twists)
+        self._subscribe(
+            TwistWithCovarianceStamped, "/egomotion/twist_with_covariance", self.covariances
         )
-        subscribe(DiagnosticArray, "/diagnostics", self.diagnostics.append, 100)
+        self._subscribe(DiagnosticArray, "/diagnostics", self.diagnostics)
 
     def subscribe_flow(self) -> None:
-        self.node.create_subscription(Image, "/flow/image", self.images.append, 100)
+        self._subscribe(Image, "/flow/image", self.images)
+
+    def _subscribe(self, message_type: Any, topic: str, messages: list[Any]) -> None:
+        self._outputs.append(
+            self.node.create_subscription(message_type, topic, messages.append, 100)
+        )
+
+    def hear(self) -> None:
+        """Wait until everything that the node under test will say arrives here."""
+        self.spin_until(
+            lambda: all(output.get_publisher_count() for output in self._outputs),
+            "the node's topics are there",
+        )
 
     def spin_until(
         self, condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S
@@ -88,12 +98,11 @@ class Peer:
             self._executor.spin_once(timeout_sec=0.05)
 
     def connect(self) -> None:
-        """Wait until the node under test listens."""
+        """Wait until the node under test listens and is heard."""
+        self.hear()
         self.spin_until(
             lambda: (
-                self.events.get_subscription_count()
-                and self.camera_info.get_subscription_count()
-                and self.node.count_publishers("/egomotion/twist")
+                self.events.get_subscription_count() and self.camera_info.get_subscription_count()
             ),
             "the node listens",
         )

@@ -53,7 +53,7 @@ def stamps(peer: Peer) -> list[int]:
 def start(peer: Peer, processes: Processes, bag: Path) -> None:
     peer.node.destroy_publisher(peer.events)
     processes.start_node(parameters=("input.queue_windows:=50",))  # the machine may be busy
-    peer.spin_until(lambda: peer.node.count_publishers("/egomotion/twist"), "the node is there")
+    peer.hear()
     processes.start(*REPLAY, str(bag), "--wait", "60")
 
 

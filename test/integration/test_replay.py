@@ -52,7 +52,7 @@ def test_replayed_events_arrive_at_the_estimator_complete(
 ) -> None:
     peer.node.destroy_publisher(peer.events)
     node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
-    peer.spin_until(lambda: peer.node.count_publishers("/egomotion/twist"), "the node is there")
+    peer.hear()
     replay = processes.start(*REPLAY, str(bags / name), "--wait")
     expected = counts_per_window(recording.events, 10 * MS)
     peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
