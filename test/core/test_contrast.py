@@ -1,0 +1,228 @@
+import numpy as np
+import pytest
+import torch
+
+from emoflow_ros.core import kernels
+from emoflow_ros.core.contrast import Contrast, WindowEvents, best_constant_flow, gaussian
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.normal_equations import NormalEquations
+
+LATTICE = Lattice(120, 90, 5, 4, 2)
+SCALES = (0.25, 0.5, 1.0)
+
+
+def moving_dots(displacement, size=(120, 90), dots=60, per_dot=40, seed=1) -> WindowEvents:
+    """Dots of either polarity that move together, px per window; events on whole pixels."""
+    rng = np.random.default_rng(seed)
+    width, height = size
+    start = rng.uniform((0, 0), size, (dots, 1, 2))
+    s = rng.random((dots, per_dot)).astype(np.float32)
+    at = start + s[..., None] * np.array(displacement)
+    x, y = np.moveaxis(np.rint(at + rng.normal(scale=0.3, size=at.shape)), -1, 0)
+    on = np.broadcast_to(rng.random((dots, 1)) < 0.5, s.shape)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    return WindowEvents.prepare(
+        x[inside].astype(np.float32), y[inside].astype(np.float32), s[inside], on[inside]
+    )
+
+
+def constant(u, v, lattice=LATTICE):
+    return np.broadcast_to(np.float32([u, v]), lattice.shape).copy()
+
+
+def equations_at(contrast, events, flow) -> tuple[float, NormalEquations]:
+    equations = NormalEquations(contrast.lattice)
+    value = contrast.linearise(events, flow, equations.vector, equations.band)
+    return value, equations
+
+
+def away_from_kinks(events, flow, scale) -> WindowEvents:
+    """Leave out events warped onto the border of a pixel, where bilinear votes have no slope."""
+    _, position = Contrast(LATTICE, scale).sharpen(events, flow)
+    part = ((position + kernels.MARGIN + 0.5) * scale - 0.5) % 1
+    keep = (np.abs(part - 0.5) < 0.499).all(axis=0)
+    return WindowEvents(events.x[keep], events.y[keep], events.s[keep], events.weights[keep])
+
+
+def reference_gradient(events, flow, scale):
+    """Autograd, double precision, of the same contrast; the acceleration is held fixed."""
+
+    def tensor(values):
+        return torch.as_tensor(np.asarray(values, np.float64))
+
+    def hats(position, count):
+        return (1 - (position[:, None] - torch.arange(count)).abs()).clamp(min=0)
+
+    x, y, s, weights = map(tensor, (events.x, events.y, events.s, events.weights))
+    per_px = LATTICE.per_px.astype(np.float64)
+    in_space = torch.einsum(
+        "ni,nj->nij", hats(x * per_px[0], LATTICE.columns), hats(y * per_px[1], LATTICE.rows)
+    )
+    field = tensor(flow).requires_grad_()
+    u = torch.einsum("nij,nk,ijkd->dn", in_space, hats(s, 2), field)
+    bend = torch.einsum("nij,ijd->dn", in_space, tensor(LATTICE.acceleration(flow)))
+    dt = 0.5 - s
+    position = torch.stack([x, y]) + dt * u + 0.5 * dt**2 * bend
+    at = (position + kernels.MARGIN + 0.5) * scale - 0.5
+    h, w = Contrast(LATTICE, scale).image.shape
+    corner = at.detach().floor()
+    (fx, fy), (j, i) = at - corner, corner.long()
+    image = torch.zeros(h * w, dtype=torch.float64)
+    for di, dj, share in (
+        (0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)
+    ):  # fmt: skip
+        image = image.index_add(0, (i + di) * w + j + dj, weights * share)
+    half = tensor(gaussian(1.0))
+    taps = torch.cat([half.flip(0), half[1:]])
+    image = image.reshape(1, 1, h, w)
+    for kernel in (taps.reshape(1, 1, -1, 1), taps.reshape(1, 1, 1, -1)):
+        padding = tuple(n // 2 for n in kernel.shape[2:])
+        image = torch.nn.functional.conv2d(image, kernel, padding=padding)
+    contrast = 0.5 * scale**2 * (image**2).sum()
+    contrast.backward()
+    return contrast.item(), field.grad.numpy().ravel()
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("roughness", [0.0, 1.5])
+def test_gradient_is_that_of_autograd(scale, roughness):
+    """Float32 positions are off by up to 1e-5 px of a gradient that changes over a pixel."""
+    rng = np.random.default_rng(2)
+    flow = constant(6.2, -3.9) + rng.normal(scale=roughness, size=LATTICE.shape)
+    flow = flow.astype(np.float32)
+    events = away_from_kinks(moving_dots((8, -5)), flow, scale)
+    value, equations = equations_at(Contrast(LATTICE, scale), events, flow)
+    expected_value, expected = reference_gradient(events, flow, scale)
+    assert value == pytest.approx(expected_value, rel=1e-5)
+    assert np.linalg.norm(equations.vector - expected) < 5e-5 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("u", [(0.3, 0.2), (6.2, -3.9), (-4.1, 2.7)])
+def test_gradient_is_the_slope_of_the_contrast(scale, u):
+    """A constant flow that shifts as a whole, by finite differences."""
+    events = moving_dots((8, -5))
+    contrast = Contrast(LATTICE, scale)
+    _, equations = equations_at(contrast, events, constant(*u))
+    h = 0.01
+    for axis, (du, dv) in enumerate(((h, 0), (0, h))):
+        ahead, _ = contrast.sharpen(events, constant(u[0] + du, u[1] + dv))
+        behind, _ = contrast.sharpen(events, constant(u[0] - du, u[1] - dv))
+        slope = equations.vector[axis::2].sum()
+        size = np.abs(equations.vector).sum()  # the sum is of many nodes, either sign
+        assert (ahead - behind) / (2 * h) == pytest.approx(slope, rel=0.01, abs=2e-3 * size)
+
+
+def test_curvature_is_positive_semidefinite_and_leads_uphill():
+    events = moving_dots((8, -5))
+    contrast = Contrast(LATTICE, 1.0)
+    flow = constant(7.0, -4.2)
+    for _ in range(8):
+        before, equations = equations_at(contrast, events, flow)
+        equations.band[:, 0] += 1.0
+        flow = flow + equations.solve().reshape(LATTICE.shape).astype(np.float32)
+        after, _ = contrast.sharpen(events, flow)
+        assert after > before - 1e-3 * before
+    middle = flow[1:-1, 1:-1].mean(axis=(0, 1, 2))
+    np.testing.assert_allclose(middle, [8, -5], atol=0.25)
+
+
+def test_one_event_by_hand():
+    """Half the sum of squares of a Gaussian blob of the event's weight."""
+    events = WindowEvents(*np.float32([[60], [40], [0.5], [3.0]]))
+    contrast = Contrast(LATTICE, 1.0)
+    value, position = contrast.sharpen(events, constant(5, 5))
+    half = gaussian(1.0).astype(np.float64)
+    squares = 2 * (half**2).sum() - half[0] ** 2
+    assert value == pytest.approx(0.5 * 9 * squares**2, rel=1e-5)
+    np.testing.assert_array_equal(position, [[60], [40]])  # already at the reference time
+    assert contrast.image[40 + kernels.MARGIN, 60 + kernels.MARGIN] == contrast.image.max()
+    assert contrast.image.sum() == pytest.approx(3.0, rel=1e-5)
+
+
+def test_unlike_polarities_cancel():
+    events = WindowEvents(*np.float32([[60, 60], [40, 40], [0.5, 0.5], [1, -1]]))
+    assert Contrast(LATTICE, 1.0).score(events, np.float32([[60, 60], [40, 40]])) == 0
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_contrast_is_highest_for_the_true_flow(scale):
+    events = moving_dots((8, -5))
+    contrast = Contrast(LATTICE, scale)
+    at_truth, _ = contrast.sharpen(events, constant(8, -5))
+    for u, v in ((0, 0), (8, 5), (-8, 5), (16, -10), (4, -2.5)):
+        assert contrast.sharpen(events, constant(u, v))[0] < 0.97 * at_truth
+
+
+@pytest.mark.parametrize("displacement", [(0, 0), (12, -7), (-31, 22), (3.4, 44)])
+def test_search_of_a_constant_flow(displacement):
+    size = (240, 180)
+    lattice = Lattice.with_spacing(*size, 30.0)
+    events = moving_dots(displacement, size, dots=200, per_dot=20, seed=3)
+    found = best_constant_flow(Contrast(lattice, 0.25), events, 48.0)
+    np.testing.assert_allclose(found, displacement, atol=1.0)
+
+
+def test_gaussian():
+    half = gaussian(2.0).astype(np.float64)
+    assert 2 * half.sum() - half[0] == pytest.approx(1, rel=1e-6)
+    np.testing.assert_allclose(half / half[0], np.exp(-(np.arange(len(half)) ** 2) / 8), rtol=1e-5)
+
+
+def evenly(per_pixel: int, seed=4) -> WindowEvents:
+    """Every pixel of 120 x 88 has this many events, in random order."""
+    pixels = np.tile(np.arange(120 * 88), per_pixel)
+    rng = np.random.default_rng(seed)
+    rng.shuffle(pixels)
+    y, x = np.divmod(pixels, 120)
+    s = rng.random(len(pixels)).astype(np.float32)
+    return WindowEvents.prepare(x.astype(np.float32), y.astype(np.float32), s, s < 0.5)
+
+
+def test_weights_are_the_inverse_root_of_the_density_with_the_polaritys_sign():
+    sparse, dense = evenly(1), evenly(4)
+    np.testing.assert_allclose(np.abs(sparse.weights), np.abs(sparse.weights[0]), rtol=1e-5)
+    np.testing.assert_allclose(np.abs(dense.weights), np.abs(sparse.weights[0]) / 2, rtol=1e-5)
+    np.testing.assert_array_equal(dense.weights > 0, dense.s < 0.5)
+
+
+def test_strong_texture_counts_no_more_than_weak():
+    """Four times the events in one half: the weights make up for nearly all of it."""
+    y, x = np.mgrid[:88, :120].reshape(2, -1)
+    repeats = np.where(x < 60, 4, 1)
+    x, y = (np.repeat(c, repeats).astype(np.float32) for c in (x, y))
+    weights = WindowEvents.prepare(x, y, np.zeros_like(x), np.ones(len(x), bool)).weights
+    ratio = weights[x > 90].mean() / weights[x < 30].mean()
+    assert 1.7 < ratio < 2
+
+
+def test_a_lone_event_stays_weak():
+    y, x = np.mgrid[:88, :60].reshape(2, -1).astype(np.float32)
+    x, y = np.append(x, 119), np.append(y, 0).astype(np.float32)
+    weights = WindowEvents.prepare(
+        x.astype(np.float32), y, np.zeros(len(x), np.float32), np.ones(len(x), bool)
+    ).weights
+    assert 2 < weights[-1] / weights[0] < 10  # by its density alone it would be 30 and more
+
+
+@pytest.mark.parametrize("copies", [2, 5])
+def test_contrast_grows_with_the_number_of_events(copies):
+    """Each event k times: k events of weight 1 / sqrt(k), the contrast k times as large."""
+    once = moving_dots((8, -5))
+    columns = (np.repeat(c, copies) for c in (once.x, once.y, once.s, once.weights > 0))
+    often = WindowEvents.prepare(*columns)
+    contrast, flow = Contrast(LATTICE, 1.0), constant(7, -4)
+    np.testing.assert_allclose(often.weights[::copies], once.weights / np.sqrt(copies), rtol=1e-5)
+    assert contrast.sharpen(often, flow)[0] == pytest.approx(
+        copies * contrast.sharpen(once, flow)[0], rel=1e-4
+    )
+
+
+def test_thinning_weighs_as_if_the_rest_had_never_been():
+    events = evenly(6)
+    thin = events.every(3)
+    assert len(thin) == len(events) // 3
+    np.testing.assert_array_equal(thin.x, events.x[::3])
+    np.testing.assert_array_equal(thin.s, events.s[::3])
+    np.testing.assert_allclose(np.abs(thin.weights), np.abs(evenly(2).weights[0]), rtol=1e-5)
+    assert (thin.weights**2).sum() == pytest.approx((events.weights**2).sum(), rel=1e-5)

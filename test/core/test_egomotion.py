@@ -1,0 +1,250 @@
+import numpy as np
+import pytest
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.spline import basis
+
+LENSES = {
+    "none": (),
+    "plumb_bob": (-0.34, 0.14, 0.0004, -0.0003),
+    "equidistant": (-0.048, 0.0113, -0.0554, 0.0215),
+}
+LATTICE = Lattice.with_spacing(346, 260, 26.0)
+NODES = LATTICE.columns * LATTICE.rows
+INLIER_PX = 0.7
+MOTIONS = 100  # for each lens
+CERTAIN = np.tile(np.eye(2), (NODES, 1, 1))
+
+
+def camera_with(lens: str) -> Camera:
+    return Camera(346, 260, 226.4, 226.2, 173.6, 133.7, lens, LENSES[lens])
+
+
+@pytest.fixture(scope="module", params=LENSES)
+def lens(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def epipolar(lens) -> NodeEpipolar:
+    return NodeEpipolar(camera_with(lens), LATTICE, INLIER_PX)
+
+
+def random_motions(seed):
+    """Unit v, w (some degrees per window) and inverse depths in 1 / windows."""
+    rng = np.random.default_rng(seed)
+    for _ in range(MOTIONS):
+        v = rng.normal(size=3)
+        depth = np.exp(rng.uniform(np.log(7), np.log(28), NODES))
+        yield v / np.linalg.norm(v), rng.normal(scale=0.02, size=3), 1 / depth
+
+
+def motion_field(epipolar, v, w, inverse_depth):
+    return inverse_depth[:, None] * (epipolar.a @ v) + epipolar.b @ w
+
+
+def with_outliers(flow, rng):
+    """Every fifth node sees something else that moves."""
+    flow = flow.copy()
+    bad = rng.permutation(NODES)[: NODES // 5]
+    flow[bad] += rng.normal(scale=10, size=(len(bad), 2))
+    return flow
+
+
+def angle(a, b):
+    return np.degrees(np.arccos(np.clip(abs(a @ b), 0, 1)))
+
+
+def test_motion_field_in_pixels_is_that_of_moving_points(lens, epipolar):
+    """Points before the moving camera, projected through its lens, by finite differences."""
+    camera = camera_with(lens)
+    bearings, _ = camera.undistort(LATTICE.pixels)
+    for v, w, inverse_depth in list(random_motions(1))[:10]:
+        points = np.column_stack([bearings, np.ones(NODES)]) / inverse_depth[:, None]
+        step = 1e-5 * (-v - np.cross(w, points))
+        moved = (camera.project(points + step) - camera.project(points - step)) / 2e-5
+        expected = motion_field(epipolar, v, w, inverse_depth)
+        np.testing.assert_allclose(moved, expected, atol=1e-5)
+
+
+def test_residuals_vanish_on_the_motion_field(epipolar):
+    """Motions that change within the window, too."""
+    rng = np.random.default_rng(2)
+    weights = basis(np.linspace(0, 1, LATTICE.times))
+    for v, w, inverse_depth in random_motions(2):
+        motion = Motion(w + rng.normal(scale=0.01, size=(4, 3)), v + 0.3 * rng.normal(size=(4, 3)))
+        fields = [
+            motion_field(epipolar, v_t, w_t, inverse_depth)
+            for v_t, w_t in zip(weights @ motion.v, weights @ motion.w, strict=True)
+        ]
+        assert np.abs(epipolar.residuals(np.stack(fields, 1), motion).r).max() < 1e-10
+
+
+def test_residual_is_the_distance_to_the_epipolar_line(epipolar):
+    """Moving the flow along the line changes nothing, moving it across counts in full."""
+    v, w = np.array([1.0, 0.0, 0.0]), np.array([0.01, 0.02, -0.01])
+    flow = motion_field(epipolar, v, w, np.full(NODES, 0.05))
+    line = epipolar.a @ v
+    line /= np.linalg.norm(line, axis=1, keepdims=True)
+    across = np.stack([-line[:, 1], line[:, 0]], -1)
+    moved = np.repeat((flow + 3 * line + 0.5 * across)[:, None], LATTICE.times, 1)
+    r = epipolar.residuals(moved, Motion.constant(w, v)).r
+    np.testing.assert_allclose(r, 0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["across", "along"])
+def test_derivatives_of_the_residuals(epipolar, kind):
+    rng = np.random.default_rng(30)
+    v, w, inverse_depth = next(random_motions(3))
+    motion = Motion(w + rng.normal(scale=0.01, size=(4, 3)), v + 0.2 * rng.normal(size=(4, 3)), 1.3)
+    flow = motion_field(epipolar, v, w, inverse_depth)[:, None] + rng.normal(
+        size=(NODES, LATTICE.times, 2)
+    )
+
+    def residuals(flow, motion):
+        if kind == "across":
+            return epipolar.residuals(flow, motion)
+        return epipolar.structure_residuals(flow, motion, inverse_depth)
+
+    linearised = residuals(flow, motion)
+    h = 1e-6
+    for step in h * np.eye(2):
+        slope = (residuals(flow + step, motion).r - residuals(flow - step, motion).r) / (2 * h)
+        np.testing.assert_allclose(linearised.by_flow @ step / h, slope, atol=1e-7)
+    for step in h * np.eye(MOTION_UNKNOWNS):
+        ahead, behind = (
+            residuals(flow, Motion(motion.w + sign * step[:12].reshape(4, 3),
+                                   motion.v + sign * step[12:24].reshape(4, 3),
+                                   motion.speed + sign * step[24])).r
+            for sign in (1, -1)
+        )  # fmt: skip
+        slope = linearised.by_motion @ step / h
+        size = 1 + np.abs(slope).max()
+        np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), atol=1e-6 * size)
+
+
+def test_structure_residuals_vanish_for_the_true_depth_and_speed(epipolar):
+    for v, w, inverse_depth in random_motions(11):
+        flow = motion_field(epipolar, v, w, inverse_depth)
+        motion = Motion.constant(w, v)
+        motion = Motion(motion.w, motion.v, 1.6)
+        moved = np.repeat(flow[:, None], LATTICE.times, 1)
+        r = epipolar.structure_residuals(moved, motion, inverse_depth / 1.6).r
+        # Near the focus of expansion the line's norm is softened: by at most `soft`.
+        assert np.abs(r).max() < epipolar.soft * inverse_depth.max()
+        assert np.median(np.abs(r)) < 1e-4
+
+
+def test_rotational_flow_and_its_derivative(epipolar):
+    w = np.random.default_rng(4).normal(size=(4, 3))
+    flow = epipolar.rotational_flow(Motion(w, np.ones((4, 3))))
+    for q, s in enumerate(np.linspace(0, 1, LATTICE.times)):
+        np.testing.assert_allclose(flow[:, q], epipolar.b @ (basis(s) @ w))
+    np.testing.assert_allclose(epipolar.rotational_jacobian() @ w.ravel(), flow, atol=1e-10)
+
+
+@pytest.mark.parametrize("outliers", [False, True])
+def test_search_finds_every_motion_within_its_grid(epipolar, outliers):
+    """Directions are 16 degrees apart; w follows as far as v's error lets it."""
+    rng = np.random.default_rng(5)
+    angles = []
+    for v, w, inverse_depth in random_motions(5):
+        flow = motion_field(epipolar, v, w, inverse_depth)
+        flow = with_outliers(flow, rng) if outliers else flow
+        directions, rotations, costs = epipolar.search(flow, CERTAIN)
+        best = costs.argmin()
+        angles.append(angle(directions[best], v))
+        # The rotation can only mistake what v's error leaves of the translational flow.
+        assert np.linalg.norm(rotations[best] - w) < np.sin(np.radians(20)) * inverse_depth.max()
+    assert max(angles) < 20
+    assert np.median(angles) < 8
+
+
+def test_search_covers_all_directions(epipolar):
+    directions, _, costs = epipolar.search(np.zeros((NODES, 2)), CERTAIN)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    random = np.random.default_rng(6).normal(size=(5000, 3))
+    random /= np.linalg.norm(random, axis=1, keepdims=True)
+    nearest = np.degrees(np.arccos(np.clip(np.abs(random @ directions.T).max(1), 0, 1)))
+    assert nearest.max() < 16
+    np.testing.assert_allclose(costs, 0, atol=1e-20)
+
+
+def test_score_knows_the_rotation_of_the_true_direction(epipolar):
+    rng = np.random.default_rng(70)
+    for v, w, inverse_depth in random_motions(7):
+        flow = motion_field(epipolar, v, w, inverse_depth)
+        found, cost = epipolar.score(v, flow, CERTAIN)
+        np.testing.assert_allclose(found, w, atol=1e-6)
+        assert cost < 1e-6
+        opposite, same = epipolar.score(-v, flow, CERTAIN)
+        np.testing.assert_allclose(opposite, found, atol=1e-9)
+        assert same == pytest.approx(cost, abs=1e-9)
+        _, wrong = epipolar.score(np.cross(v, rng.normal(size=3)), flow, CERTAIN)
+        assert wrong > cost + 1e-3
+
+
+def test_score_and_search_agree(epipolar):
+    v, w, inverse_depth = next(random_motions(8))
+    flow = with_outliers(motion_field(epipolar, v, w, inverse_depth), np.random.default_rng(8))
+    directions, rotations, costs = epipolar.search(flow, CERTAIN)
+    for k in (0, 17, 63):
+        found, cost = epipolar.score(directions[k], flow, CERTAIN)
+        np.testing.assert_allclose(found, rotations[k], atol=1e-10)
+        assert cost == pytest.approx(costs[k])
+
+
+@pytest.mark.parametrize("outliers", [False, True])
+def test_rotation(epipolar, outliers):
+    rng = np.random.default_rng(9)
+    for _, w, _ in random_motions(9):
+        flow = epipolar.b @ w
+        flow = with_outliers(flow, rng) if outliers else flow
+        found, cost = epipolar.rotation(flow, CERTAIN)
+        np.testing.assert_allclose(found, w, atol=2e-4 if outliers else 1e-9)
+        assert (cost < 1e-9) != outliers
+
+
+def test_nodes_without_evidence_do_not_count(epipolar):
+    v, w, inverse_depth = next(random_motions(10))
+    flow = motion_field(epipolar, v, w, inverse_depth)
+    information = CERTAIN.copy()
+    flow[: NODES // 2], information[: NODES // 2] = 100.0, 0.0
+    found, cost = epipolar.score(v, flow, information)
+    np.testing.assert_allclose(found, w, atol=1e-6)
+    assert cost < 1e-6
+
+
+def test_robust_weights_fall_from_one_to_a_quarter_and_on(epipolar):
+    r = np.tile([0.0, INLIER_PX, -3 * INLIER_PX], (NODES, 1))
+    np.testing.assert_allclose(epipolar.robust_weight(r), np.tile([1, 0.25, 0.01], (NODES, 1)))
+
+
+def test_nodes_beyond_the_lens_are_left_out():
+    """A fisheye whose image circle has a radius of 157 px on a sensor of 400 x 400."""
+    camera = Camera(400, 400, 100.0, 100.0, 199.5, 199.5, "equidistant", (0.0,) * 4)
+    lattice = Lattice(400, 400, 9, 9)
+    epipolar = NodeEpipolar(camera, lattice, INLIER_PX)
+    radius = np.linalg.norm(lattice.pixels - 199.5, axis=1)
+    np.testing.assert_array_equal(epipolar.usable, radius < 157)
+    v, w = np.array([0.6, 0.0, 0.8]), np.array([0.01, -0.02, 0.03])
+    flow = 0.05 * (epipolar.a @ v) + epipolar.b @ w
+    flow[~epipolar.usable] = 1e3
+    found, _ = epipolar.score(v, flow, np.tile(np.eye(2), (81, 1, 1)))
+    np.testing.assert_allclose(found, w, atol=1e-6)
+    residuals = epipolar.residuals(np.repeat(flow[:, None], 2, 1), Motion.constant(w, v))
+    assert np.isfinite(residuals.r).all() and np.isfinite(residuals.by_motion).all()
+    weights = epipolar.robust_weight(residuals.r)
+    np.testing.assert_array_equal(weights[~epipolar.usable], 0)
+
+
+def test_motion_moves_by_its_control_points_and_keeps_the_scale_of_v():
+    w, v = np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.8])
+    motion = Motion.constant(w, v)
+    np.testing.assert_allclose(motion.at(0.3), [w, v])
+    moved = motion.moved(np.concatenate([np.full(12, 0.5), 2 * motion.v.ravel(), [0.25]]))
+    np.testing.assert_allclose(moved.at(0.8), [w + 0.5, v])
+    assert (motion.speed, moved.speed) == (1.0, 1.25)
+    assert np.linalg.norm(moved.v.mean(axis=0)) == pytest.approx(1)
