@@ -75,7 +75,7 @@ def import_message_type(ros_type: str) -> Any:
             ros_type,
             f"the message package {package} is not installed",
             f"install ros-jazzy-{package.replace('_', '-')} or build {package}, "
-            "source its setup file and start the node again",
+            "source its setup file and try again",
         ) from None
 
 

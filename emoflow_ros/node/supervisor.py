@@ -174,6 +174,7 @@ class Supervisor:
             return False
         task = self.queue.get(_IDLE_S)
         if task is None:
+            self._check_idle_worker()
             return False
         if self._setup != self._configured:
             self._configure(*self._setup)
@@ -242,6 +243,12 @@ class Supervisor:
         if time.monotonic() - started >= limit:
             raise WorkerDiedError(f"the worker gave no answer in {limit:g} s and was ended")
         raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
+
+    def _check_idle_worker(self) -> None:
+        """Notice a death between two windows, which then costs none."""
+        assert self._process is not None
+        if not self._process.is_alive():
+            raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
 
     def _exit_reason(self) -> str:
         assert self._process is not None

@@ -97,6 +97,11 @@ class Peer:
             assert time.monotonic() < deadline, f"{what}: not within {timeout_s} s; {seen}"
             self._executor.spin_once(timeout_sec=0.05)
 
+    def spin_for(self, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+
     def connect(self) -> None:
         """Wait until the node under test listens and is heard."""
         self.hear()
