@@ -29,6 +29,7 @@ _SEARCH_REACH_PX = 48.0
 _EXTRAPOLATION = 0.5  # share of the flow's change in a window that is believed to go on
 _MAX_GAP_S = 0.3  # longer silence ends a warm start
 _CONVERGED_PX = 0.01
+_DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
 _SWITCH = 0.8  # another direction of v must explain the flow this much better
 
 
@@ -185,7 +186,7 @@ class LatticeEstimator:
             if k > 0 and prior is not None and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
-            if last and self._reconsider(fit.free_flow()):
+            if last and self._reconsider(fit.free_flow(), prior):
                 fit.structure = None
                 self._step(None)
                 fit.linearise(events, 1.0)
@@ -206,13 +207,20 @@ class LatticeEstimator:
         deadline = self.config.deadline_ms
         return deadline > 0 and (time.perf_counter() - self._started) * 1e3 > deadline
 
-    def _reconsider(self, free: FreeFlow) -> bool:
-        """Check the free flow for another motion; return whether the fit must go on with it."""
+    def _reconsider(self, free: FreeFlow, prior: MotionPrior | None) -> bool:
+        """Check the free flow for another motion; return whether the fit must go on with it.
+
+        What earlier windows say of the direction counts against another one.
+        """
         fit = self._fit
         assert fit.motion is not None
         present = fit.motion.at(0.5)[1]
         w, cost = self._epipolar.score(present, free.flow, free.information)
         directions, rotations, costs = self._epipolar.search(free.flow, free.information)
+        if prior is not None:
+            # A motion that puts part of the scene behind the camera has not proved itself.
+            doubt = (1 - abs(self._selector.agreement)) / _DOUBT
+            costs = costs + max(0.0, 1 - doubt) * prior.surprise(directions)
         best = int(costs.argmin())
         before = self._selector.model
         switch = costs[best] < (1.0 if before is MotionModel.ROTATION else _SWITCH) * cost
@@ -220,6 +228,7 @@ class LatticeEstimator:
             v = directions[best]
             present = v if v @ present >= 0 else -v
             w = rotations[best]
+            self._selector = ModelSelector(model=before)
             fit.motion = Motion.constant(w, present)
         after = self._select(free, present, w)
         return after is not before or (switch and after is not MotionModel.ROTATION)

@@ -38,6 +38,13 @@ class MotionPrior:
     mean: Array
     information: Array
 
+    def surprise(self, directions: Array) -> Array:
+        """Cost (M,) that directions of v (M, 3), of either sign, would bring with them."""
+        of_v = np.linalg.inv(np.linalg.inv(self.information)[3:, 3:])
+        apart = np.stack([directions - self.mean[3:], directions + self.mean[3:]])
+        cost: Array = np.einsum("smi,ij,smj->sm", apart, of_v, apart).min(axis=0)
+        return cost
+
 
 @dataclass(frozen=True)
 class FreeFlow:
