@@ -32,7 +32,7 @@ def rotation(w=W, seed=2) -> FreeFlow:
 
 
 def test_rotations_are_rotations():
-    """All that move the image clearly: by 2 px and more in noise of 0.1 px, at half of the nodes."""
+    """All that move half of the image by 2 px and more, in noise of 0.1 px."""
     rng = np.random.default_rng(3)
     for seed in range(100):
         w, v = rng.normal(size=(2, 3))
