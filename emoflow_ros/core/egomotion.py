@@ -193,8 +193,8 @@ class NodeEpipolar:
         stiffness = pulled @ self.b
         target = (pulled @ flow[..., None])[..., 0]
         for _ in range(2 * _REWEIGHTINGS):
-            matrix = np.tensordot(weight, stiffness, 1) + 1e-9 * np.eye(3)
-            w = np.linalg.solve(matrix, weight @ target)
+            matrix = np.tensordot(weight, stiffness, 1)
+            w = np.linalg.solve(_regular(matrix), weight @ target)
             left = flow - self.b @ w
             r2 = (left**2).sum(-1)
             scale = max(self.inlier_px**2, 2 * float(np.median(r2[self.usable])))
@@ -223,11 +223,17 @@ class NodeEpipolar:
         weight = evidence
         for _ in range(_REWEIGHTINGS):
             weighted = np.swapaxes(rows * weight[..., None], 1, 2)
-            matrix = weighted @ rows + 1e-9 * np.eye(3)
-            w = np.linalg.solve(matrix, weighted @ target[..., None])
+            matrix = weighted @ rows
+            w = np.linalg.solve(_regular(matrix), weighted @ target[..., None])
             r2 = ((target - (rows @ w)[..., 0]) / self.inlier_px) ** 2
             weight = evidence / (1 + r2) ** 2
         return w[..., 0], self.inlier_px**2 * (evidence * r2 / (1 + r2)).sum(-1)
+
+
+def _regular(matrix: Array) -> Array:
+    """Keep matrices (..., 3, 3) of too little evidence from being singular."""
+    trace = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
+    return matrix + (1e-9 * trace + 1e-9) * np.eye(3)
 
 
 def _hemisphere(count: int) -> Array:

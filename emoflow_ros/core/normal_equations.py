@@ -9,7 +9,7 @@ from emoflow_ros.core.lattice import Lattice
 Array = NDArray[np.float64]
 
 
-class NotPositiveDefiniteError(ArithmeticError):
+class NotPositiveDefiniteError(np.linalg.LinAlgError):
     """The normal equations have no unique minimum: the fit has diverged."""
 
 
