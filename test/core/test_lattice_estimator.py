@@ -1,0 +1,234 @@
+"""The real-time estimator on simulated scenes, whose truth is exact, and on windows of nothing."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
+
+CONFIG = LatticeConfig()
+START = 1_500_000_000_000_000_000
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording, its windows and what a fresh estimator makes of them."""
+
+    recording: SimulatedRecording
+    windows: list[Window]
+    estimates: list[Estimate]
+
+    def estimator(self, **options) -> LatticeEstimator:
+        return LatticeEstimator(self.recording.camera, replace(CONFIG, **options))
+
+
+def run_of(scene: str) -> Run:
+    recording = simulate(scene, duration_s=0.3, seed=1, fps=500, start_ns=START)
+    windows = WindowSlicer(WindowPolicy(duration_ms=90.0)).push(recording.events)
+    estimator = LatticeEstimator(recording.camera, CONFIG)
+    return Run(recording, windows, [estimator.estimate(w) for w in windows])
+
+
+@pytest.fixture(scope="module")
+def calm() -> Run:
+    return run_of("calm")
+
+
+@pytest.fixture(scope="module")
+def rotation() -> Run:
+    return run_of("rotation")
+
+
+def noise(count: int, seed: int = 0) -> Window:
+    rng = np.random.default_rng(seed)
+    t = START + np.sort(rng.integers(0, 90 * NS_PER_MS, count))
+    x, y = rng.integers(0, (346, 260), (count, 2)).astype(np.uint16).T
+    return Window(START, START + 90 * NS_PER_MS, Events(x, y, t, rng.random(count) < 0.5))
+
+
+def shifted(window: Window, by_ns: int) -> Window:
+    """The same events at another time."""
+    events = replace(window.events, t=window.events.t + by_ns)
+    return Window(window.t_start + by_ns, window.t_end + by_ns, events)
+
+
+def endpoint_error(run: Run, k: int) -> tuple[float, float]:
+    """Mean endpoint error over window k and the mean length of the true displacement, px."""
+    window, estimate = run.windows[k], run.estimates[k]
+    truth = run.recording.truth.displacement(window.t_start, window.t_end)
+    error = estimate.flow.displacement(window.t_start, window.t_end) - truth
+    return tuple(float(np.nanmean(np.linalg.norm(d, axis=-1))) for d in (error, truth))
+
+
+def same(a: Estimate, b: Estimate) -> bool:
+    """Bitwise, but for the time it took."""
+    t = a.t_start + 10 * NS_PER_MS
+    return (
+        (a.t, a.status, a.model) == (b.t, b.status, b.model)
+        and replace(a.quality, runtime_s=0) == replace(b.quality, runtime_s=0)
+        and np.array_equal(a.flow.velocity(t), b.flow.velocity(t))
+        and np.array_equal(a.motion.angular(t), b.motion.angular(t))
+        and all(np.array_equal(getattr(a, n), getattr(b, n))
+                for n in ("linear", "angular", "covariance"))
+    )  # fmt: skip
+
+
+def test_calm_flow_is_within_bounds_at_every_warm_window(calm):
+    assert len(calm.windows) == 3
+    for k, estimate in enumerate(calm.estimates):
+        assert estimate.status is Status.OK
+        assert estimate.quality.warm == (k > 0)
+        error, length = endpoint_error(calm, k)
+        if estimate.quality.warm:
+            assert error < 1.5
+            assert error < 0.25 * length
+
+
+def test_calm_motion_is_found_with_its_direction(calm):
+    """The sign included, which the epipolar constraint does not know."""
+    for estimate in calm.estimates[1:]:
+        v, w = calm.recording.truth.twist(estimate.t)
+        assert estimate.model is MotionModel.FULL
+        assert estimate.translation_observable
+        assert estimate.linear @ v > np.cos(np.radians(40)) * np.linalg.norm(v)
+        assert np.degrees(np.linalg.norm(estimate.angular - w)) < 5
+        assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
+        np.testing.assert_allclose(estimate.covariance[:3, :3] @ estimate.linear, 0, atol=1e-9)
+
+
+def test_an_estimate_agrees_with_itself(calm):
+    for window, estimate in zip(calm.windows, calm.estimates, strict=True):
+        assert (estimate.t_start, estimate.t_end) == (window.t_start, window.t_end)
+        assert estimate.t == window.t_start + 45 * NS_PER_MS
+        assert np.linalg.norm(estimate.linear) == pytest.approx(1)
+        np.testing.assert_allclose(estimate.motion.angular(estimate.t), estimate.angular)
+        np.testing.assert_allclose(estimate.motion.linear(estimate.t), estimate.linear)
+        quality = estimate.quality
+        assert quality.events == CONFIG.max_events < len(window.events)
+        assert quality.contrast_gain > CONFIG.min_contrast_gain
+        assert 0.5 < quality.inlier_fraction <= 1
+        assert 0 < quality.residual_px < 0.5
+        assert quality.iterations > 0 < quality.runtime_s
+        assert quality.stop_reason in ("converged", "iterations")
+
+
+def test_pure_rotation_is_recognised_and_says_nothing_of_translation(rotation):
+    for k, estimate in enumerate(rotation.estimates):
+        _, w = rotation.recording.truth.twist(estimate.t)
+        assert (estimate.status, estimate.model) == (Status.OK, MotionModel.ROTATION)
+        assert np.linalg.norm(estimate.angular) == pytest.approx(np.linalg.norm(w), rel=0.01)
+        assert np.linalg.norm(estimate.angular - w) < 0.02 * np.linalg.norm(w)
+        assert not estimate.translation_observable
+        np.testing.assert_array_equal(estimate.linear, 0)
+        np.testing.assert_array_equal(estimate.motion.linear(estimate.t), 0)
+        assert estimate.covariance[0, 0] == -1
+        assert np.linalg.eigvalsh(estimate.covariance[3:, 3:]).min() > 0
+        error, length = endpoint_error(rotation, k)
+        assert error < 0.05 * length
+
+
+def test_the_model_can_be_fixed(calm, rotation):
+    for run, model in ((calm, MotionModel.ROTATION), (rotation, MotionModel.FULL)):
+        estimate = run.estimator(model=str(model)).estimate(run.windows[0])
+        assert (estimate.status, estimate.model) == (Status.OK, model)
+
+
+def test_two_runs_are_bitwise_equal(calm):
+    estimator = calm.estimator()
+    for window, first in zip(calm.windows, calm.estimates, strict=True):
+        assert same(estimator.estimate(window), first)
+
+
+def test_after_a_reset_all_is_as_at_first(calm):
+    estimator = calm.estimator()
+    for window in calm.windows[1:]:
+        estimator.estimate(window)
+    estimator.reset()
+    again = estimator.estimate(calm.windows[0])
+    assert not again.quality.warm
+    assert same(again, calm.estimates[0])
+
+
+@pytest.mark.parametrize(("gap_s", "warm"), [(0.0, True), (0.1, True), (1.0, False), (-0.2, False)])
+def test_a_gap_in_time_ends_the_warm_start(calm, gap_s, warm):
+    estimator = calm.estimator()
+    estimator.estimate(calm.windows[0])
+    after = estimator.estimate(shifted(calm.windows[1], round(gap_s * NS_PER_S)))
+    assert (after.status, after.quality.warm) == (Status.OK, warm)
+
+
+def test_a_deadline_ends_a_warm_window_early(calm):
+    estimator = calm.estimator(deadline_ms=1e-3)
+    cold, warm = (estimator.estimate(w) for w in calm.windows[:2])
+    assert cold.quality.stop_reason == calm.estimates[0].quality.stop_reason
+    assert warm.quality.stop_reason == "deadline"
+    assert warm.quality.iterations < calm.estimates[1].quality.iterations
+    assert warm.status is Status.OK
+
+
+def test_events_beyond_the_sensor_are_ignored(calm):
+    window = calm.windows[0]
+    x = np.insert(window.events.x, [0, 500, 90_000], [346, 65_535, 3])
+    y = np.insert(window.events.y, [0, 500, 90_000], [0, 7, 260])
+    t = np.insert(window.events.t, [0, 500, 90_000], window.events.t[[0, 499, 89_999]])
+    p = np.insert(window.events.p, [0, 500, 90_000], True)
+    estimate = calm.estimator().estimate(Window(window.t_start, window.t_end, Events(x, y, t, p)))
+    assert same(estimate, calm.estimates[0])
+
+
+def test_windows_with_five_times_as_many_events_are_thinned(calm):
+    assert len(calm.windows[0].events) > 5 * 20_000
+    estimator = calm.estimator(max_events=20_000)
+    estimates = [estimator.estimate(window) for window in calm.windows]
+    assert {e.quality.events for e in estimates} == {20_000}
+    thin = replace(calm, estimates=estimates)
+    assert endpoint_error(thin, 2)[0] < 1.5
+
+
+@pytest.mark.parametrize("count", [2000, 30_000, 150_000])
+def test_noise_is_no_motion(calm, count):
+    estimate = calm.estimator().estimate(noise(count))
+    assert estimate.status is Status.NO_MOTION
+    assert estimate.quality.stop_reason == "no_motion"
+    assert estimate.quality.contrast_gain < CONFIG.min_contrast_gain
+    assert_says_nothing(estimate)
+
+
+@pytest.mark.parametrize("count", [0, 1, CONFIG.min_events - 1])
+def test_too_few_events(calm, count):
+    estimate = calm.estimator().estimate(noise(count))
+    assert estimate.status is Status.TOO_FEW_EVENTS
+    assert_says_nothing(estimate)
+
+
+def test_a_camera_at_rest_does_not_move():
+    recording = simulate("static", duration_s=0.1, seed=2, fps=100)
+    window = Window(0, recording.t_end, recording.events)
+    for options in ({}, {"min_events": 100}):
+        estimator = LatticeEstimator(recording.camera, replace(CONFIG, **options))
+        estimate = estimator.estimate(window)
+        assert estimate.status in (Status.TOO_FEW_EVENTS, Status.NO_MOTION)
+        assert_says_nothing(estimate)
+
+
+def test_after_a_window_of_nothing_the_next_is_cold(calm):
+    estimator = calm.estimator()
+    estimator.estimate(calm.windows[0])
+    estimator.estimate(Window(calm.windows[1].t_start, calm.windows[1].t_end, Events.empty()))
+    after = estimator.estimate(calm.windows[2])
+    assert (after.status, after.quality.warm) == (Status.OK, False)
+
+
+def assert_says_nothing(estimate: Estimate) -> None:
+    assert estimate.flow is None and estimate.motion is None
+    assert estimate.model is MotionModel.STATIC and not estimate.translation_observable
+    np.testing.assert_array_equal(estimate.linear, 0)
+    np.testing.assert_array_equal(estimate.angular, 0)
+    assert estimate.covariance[0, 0] == -1
+    assert not estimate.quality.warm
