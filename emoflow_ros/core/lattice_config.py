@@ -20,7 +20,7 @@ class LatticeConfig:
         0.4, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
     )
     edge_px: float = option(
-        0.3,
+        0.4,
         "second difference of the flow above which it counts as an edge of depth",
         unit="px per window",
         minimum=1e-3,

@@ -30,6 +30,7 @@ _SEARCH_REACH_PX = 48.0
 _EXTRAPOLATION = 0.5  # share of the flow's change in a window that is believed to go on
 _MAX_GAP_S = 0.3  # longer silence ends a warm start
 _CONVERGED_PX = 0.01
+_STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
 _SWITCH = 0.8  # another direction of v must explain the flow this much better
 
@@ -116,7 +117,7 @@ class LatticeEstimator:
             ]
         s = ((events.t - window.t_start) / (window.t_end - window.t_start)).astype(np.float32)
         early, late = np.quantile(s, (0.1, 0.9))
-        blocks = np.bincount((events.y >> 3).astype(np.intp) * 8192 + (events.x >> 3))
+        blocks = np.bincount((events.y >> 3).astype(np.intp) * self.camera.width + (events.x >> 3))
         if late - early < _SHORTEST_SPREAD or np.count_nonzero(blocks) < _FEWEST_BLOCKS:
             return None
         return WindowEvents.prepare(
@@ -200,9 +201,10 @@ class LatticeEstimator:
             fit.linearise(events, 1.0)
             if last and self._reconsider(fit.free_flow(), prior):
                 fit.structure = None
-                self._step(None)
-                fit.linearise(events, 1.0)
-                prior = None
+                for _ in range(_STEPS_AFTER_CHANGE):
+                    fit.linearise(events, 1.0)
+                    self._step(None)
+                break
             self._step(prior)
             if last:
                 break
@@ -240,16 +242,20 @@ class LatticeEstimator:
             v = directions[best]
             present = v if v @ present >= 0 else -v
             w = rotations[best]
-            self._selector = ModelSelector(model=before)
+            if before is not MotionModel.ROTATION:  # where v means nothing
+                self._selector = ModelSelector()
             fit.motion = Motion.constant(w, present)
         after = self._select(free, present, w)
         return after is not before or (switch and after is not MotionModel.ROTATION)
 
     def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
-        self._selector.update(self._epipolar, free, w, v)
+        before = self._selector.model
+        after = self._selector.update(self._epipolar, free, w, v)
         if self.config.model != "auto":
-            self._selector.model = MotionModel(self.config.model)
-        return self._selector.model
+            after = self._selector.model = MotionModel(self.config.model)
+        if after is MotionModel.ROTATION and before is not after:
+            self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])
+        return after
 
     def _contrast_gain(self, events: WindowEvents) -> float:
         contrast = self._fit.contrasts[1.0]

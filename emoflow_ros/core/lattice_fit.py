@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 SCALES = (0.25, 0.5, 1.0)
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
 
+_ROTATION_STIFFNESS = 10.0  # times dec_weight: a rotation leaves the flow no freedom of its own
 _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
 _STRUCTURE_INLIER_PX = 1.0
 
@@ -115,6 +116,12 @@ class LatticeFit:
         """Step the flow by contrast and smoothness alone."""
         self._move(self._equations.solve())
 
+    def start_rotation(self, w: Array) -> None:
+        """Begin anew from the flow of a pure rotation w (3,), rad per window."""
+        self.motion = Motion.constant(w, self._require_motion().at(0.5)[1])
+        rotation = self.epipolar.rotational_flow(self.motion)
+        self.flow = rotation.reshape(self.lattice.shape).astype(np.float32)
+
     def step_rotation(self) -> None:
         """Step the flow towards a pure rotation, and the rotation towards the flow."""
         epipolar = self.epipolar
@@ -122,7 +129,8 @@ class LatticeFit:
         flow = self.node_flow
         rotation = epipolar.rotational_flow(motion)
         residual = flow - rotation
-        weight = self.config.dec_weight * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
+        stiffness = _ROTATION_STIFFNESS * self.config.dec_weight
+        weight = stiffness * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
         by_w = -epipolar.rotational_jacobian()  # (nodes, times, 2, 12)
         corner: Array = self._roughness * self._rotation_stiffness

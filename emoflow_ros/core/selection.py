@@ -19,7 +19,7 @@ _FORGETTING = 0.6  # weight of the past against the present window
 _ERROR_PX = 0.8
 _ERROR_SHARE = 0.06
 # ... and the full model, with a depth for each node, lowers the cost by this factor anyway.
-_FREEDOM = 3.2
+_FREEDOM = 4.5
 _NOTHING_SHARE = 0.015  # so little that there is nothing else to explain
 _HYSTERESIS = 1.25
 
