@@ -207,6 +207,17 @@ def test_too_few_events(calm, count):
     assert_says_nothing(estimate)
 
 
+def test_a_burst_and_a_few_pixels_are_too_little(calm):
+    """A flash has no time to move in, flickering pixels have no place to move to."""
+    flash = noise(30_000)
+    middle = flash.events.t[:1] + 45 * NS_PER_MS + (flash.events.t - START) // 90
+    flicker = replace(flash.events, x=flash.events.x % 3 + 100, y=flash.events.y % 3 + 100)
+    for events in (replace(flash.events, t=middle), flicker):
+        estimate = calm.estimator().estimate(replace(flash, events=events))
+        assert estimate.status is Status.TOO_FEW_EVENTS
+        assert_says_nothing(estimate)
+
+
 def test_a_camera_at_rest_does_not_move():
     recording = simulate("static", duration_s=0.1, seed=2, fps=100)
     window = Window(0, recording.t_end, recording.events)
