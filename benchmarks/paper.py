@@ -64,7 +64,7 @@ def _measure(args: argparse.Namespace) -> None:
     results = {}
     for name, overrides in tqdm(VARIANTS.items(), desc="variants", file=sys.stderr):
         overrides = {"max_events": args.events, "device": args.device, **overrides}
-        results[name] = vars(_time(window, overrides, args.iterations))
+        results[name] = vars(time_iterations(window, overrides, args.iterations))
     machine = {
         "processor": platform.processor() or platform.machine(),
         "threads": args.threads,
@@ -87,7 +87,7 @@ def _window(count: int) -> Window:
     return Window(0, WINDOW_NS, events)
 
 
-def _time(window: Window, overrides: dict[str, Any], iterations: int) -> Timing:
+def time_iterations(window: Window, overrides: dict[str, Any], iterations: int) -> Timing:
     """Fit once, and take the median time between the optimiser's steps in either phase."""
     values = {
         **overrides,
