@@ -31,7 +31,7 @@ from benchmarks._scoring import (
     summarise,
     verdict,
 )
-from benchmarks.paper import _time as time_paper_loop
+from benchmarks.paper import time_iterations as time_paper_loop
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator
