@@ -18,6 +18,7 @@ from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.gallery import Gallery
 from emoflow_ros.offline.results import WindowResult
+from emoflow_ros.offline.tracks import Tracker
 
 _PERIOD_S = 10.0
 
@@ -44,6 +45,7 @@ class Progress:
         pending: windows that are cut but not yet estimated.
         windows: the results so far.
         gallery: the windows kept for pictures.
+        tracker: carries points along, if wanted.
     """
 
     estimator: Estimator
@@ -53,6 +55,7 @@ class Progress:
     pending: deque[Window] = field(default_factory=deque)
     windows: list[WindowResult] = field(default_factory=list)
     gallery: Gallery = field(default_factory=Gallery)
+    tracker: Tracker | None = None
 
 
 class Checkpoint:

@@ -17,10 +17,12 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.tracks import INSTANTS, Tracks
 
 FORMAT = "emoflow_ros/estimates"
 VERSION = 1
 _ROWS_PER_CHUNK = 256
+_TRACK_ROWS_PER_CHUNK = 16
 
 
 class _Column(NamedTuple):
@@ -61,6 +63,22 @@ _COLUMNS = {
 }
 
 
+def _track_columns(points: int) -> dict[str, _Column]:
+    return {
+        "tracks": _Column(
+            (INSTANTS, points, 2),
+            "f4",
+            "px",
+            "positions (x, y) of the tracked points at track_times_ns; NaN from where a point "
+            "leaves the image on, and unless status is ok",
+        ),
+        "track_times_ns": _Column((INSTANTS,), "i8", "ns", "times of the tracks' positions"),
+        "track_id": _Column(
+            (points,), "i8", "", "number of each point's track; it changes where a new one begins"
+        ),
+    }
+
+
 class EstimatesWriter:
     """Write estimates row by row; after each row the file is complete. Use as a context manager.
 
@@ -70,6 +88,7 @@ class EstimatesWriter:
         source: what was estimated from, for the reader's information.
         configuration: option values by dotted name.
         save_flow: whether to store the dense displacement of every window, too.
+        tracks: number of point tracks to store for every window.
         keep: how many rows of an existing file to keep (written with the same arguments); with 0
             it is replaced.
 
@@ -85,6 +104,7 @@ class EstimatesWriter:
         source: str,
         configuration: Mapping[str, Any],
         save_flow: bool = False,
+        tracks: int = 0,
         keep: int = 0,
     ) -> None:
         try:
@@ -117,8 +137,12 @@ class EstimatesWriter:
             )
             self._create("flow", column, (1, *column.shape), compression="gzip", shuffle=True)
 
-    def append(self, estimate: Estimate) -> None:
-        """Add one window."""
+        for name, column in _track_columns(tracks).items() if tracks else ():
+            chunk = (_TRACK_ROWS_PER_CHUNK, *column.shape)
+            self._create(name, column, chunk, compression="gzip", shuffle=True)
+
+    def append(self, estimate: Estimate, tracks: Tracks | None = None) -> None:
+        """Add one window; with its tracks where the file was made for them."""
         ok = estimate.status is Status.OK
         values: dict[str, Any] = {
             "t_start": estimate.t_start / NS_PER_S,
@@ -141,6 +165,10 @@ class EstimatesWriter:
                 if estimate.flow is not None
                 else np.nan
             )
+        if tracks is not None:
+            values["tracks"] = tracks.positions
+            values["track_times_ns"] = tracks.times
+            values["track_id"] = tracks.ids
         for name, value in values.items():
             dataset = self._file[name]
             dataset.resize(len(dataset) + 1, axis=0)
@@ -225,9 +253,10 @@ def read_estimates(path: Path) -> Estimates:
                 raise InputError(path, wrong, "write it again with this version of evaluate")
             camera = json.loads(file.attrs["camera"])
             camera["distortion"] = tuple(camera["distortion"])
+            tracked = _track_columns(0) if "tracks" in file else {}
             columns = {
                 name: file[name].asstr()[:] if column.dtype is _TEXT else file[name][:]
-                for name, column in _COLUMNS.items()
+                for name, column in (_COLUMNS | tracked).items()
             }
             return Estimates(
                 path=path,

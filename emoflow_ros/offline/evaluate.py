@@ -1,6 +1,7 @@
 """The executable `evaluate`: a recording in, egomotion, flow and a report out."""
 
 import argparse
+import copy
 import sys
 from collections.abc import Sequence as Ordered
 from pathlib import Path
@@ -12,6 +13,7 @@ from emoflow_ros import cli
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline import compare
+from emoflow_ros.offline.ablation import ABLATIONS, ablate, table_of, variants_of
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.evaluation import Evaluation, proceed
@@ -22,6 +24,7 @@ from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.report import write_report
 from emoflow_ros.offline.sequences import Sequence, find_sequence
 from emoflow_ros.offline.summary import summarise
+from emoflow_ros.offline.tracks import Tracker
 from emoflow_ros.offline.truth import load_truth
 
 _EXIT_NOTHING_ESTIMATED = 1
@@ -32,6 +35,8 @@ examples:
   evaluate shapes_rotation/ --window-ms 98 --out out/shapes
   evaluate indoor_flying1_data.hdf5 --sequence indoor_flying1 --protocol mvsec-dt4 \\
            --gt indoor_flying1_gt.bag indoor_flying1_gt_flow_dist.npz
+  evaluate recording.bag --tracks 150
+  evaluate recording.bag --gt recording_gt.bag --ablate huber
   evaluate compare out/run1 out/run2     (runs side by side; evaluate compare --help)
 
 writes into DIR: report.html, report.json, windows.csv and estimates.h5 (docs/estimates_file.md).
@@ -119,11 +124,26 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         help="continue the interrupted run in DIR exactly where it was saved (every 10 s)",
     )
     add("--save-flow", action="store_true", help="store the dense flow of each window, too")
+    add(
+        "--tracks",
+        type=_positive,
+        default=0,
+        metavar="N",
+        help="carry N points along the flow: drawn in the report, stored in estimates.h5",
+    )
+    add(
+        "--ablate",
+        choices=ABLATIONS,
+        help="then evaluate again with this part of the method changed, on the same windows",
+    )
+    add("--max-windows", type=_positive, metavar="N", help="stop after N windows")
     return parser.parse_args(arguments)
 
 
 def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, _overrides(options))
+    if options.ablate:
+        variants_of(options.ablate, config)  # refused before anything is estimated
     sequence = find_sequence(options.sequence) if options.sequence else None
     folder = options.out or Path("out") / options.input.resolve().stem
     with _open(options, sequence) as recording:
@@ -136,13 +156,18 @@ def _run(options: argparse.Namespace) -> int:
         # Loads torch and numba, which --help and bad input need not wait for.
         from emoflow_ros.core.factory import make_estimator
 
-        progress = done or Progress(make_estimator(camera, config), plan.slicer)
+        progress = done or Progress(
+            make_estimator(camera, config),
+            copy.deepcopy(plan.slicer),
+            tracker=Tracker(options.tracks, camera) if options.tracks else None,
+        )
         with EstimatesWriter(
             folder / "estimates.h5",
             camera=camera,
             source=str(options.input),
             configuration=config.flat(),
             save_flow=options.save_flow,
+            tracks=options.tracks,
             keep=len(progress.windows),
         ) as writer:
             run = proceed(
@@ -152,13 +177,29 @@ def _run(options: argparse.Namespace) -> int:
                 protocol=plan.description,
                 writer=writer,
                 checkpoint=checkpoint,
+                max_windows=options.max_windows,
                 progress_bar=True,
+            )
+        ablation = None
+        if options.ablate and not run.interrupted:
+            ablation = ablate(
+                options.ablate,
+                config,
+                recording,
+                plan.slicer,
+                run,
+                max_windows=options.max_windows,
             )
     if not run.windows:  # interrupted before the first one was done
         raise KeyboardInterrupt
     run.published = plan.published
-    report, _ = write_report(run, config.flat(), folder)
+    report, _ = write_report(run, config.flat(), folder, ablation)
     _print_summary(run, report)
+    if ablation:
+        print(table_of(ablation))
+    if ablation and ablation.interrupted:
+        print("interrupted: the table has the variants done until then", file=sys.stderr)
+        return cli.EXIT_INTERRUPTED
     if run.interrupted:
         print("interrupted; the same command with --resume continues", file=sys.stderr)
         return cli.EXIT_INTERRUPTED
@@ -175,6 +216,7 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
         "protocol": plan.description,
         "configuration": config.flat(),
         "choice of --save-flow": options.save_flow,
+        "number of --tracks": options.tracks,
         "version": versions(),
     }
 
@@ -206,6 +248,13 @@ def _overrides(options: argparse.Namespace) -> dict[str, Any]:
         except yaml.YAMLError:
             raise InputError(f"--set {text}", "not a value", "write a number or a word") from None
     return values
+
+
+def _positive(text: str) -> int:
+    """Parse a count of at least 1, for argparse."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a number of at least 1")
+    return int(text)
 
 
 def _make_folder(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from tqdm import tqdm
@@ -56,6 +57,7 @@ def evaluate(
     *,
     protocol: str = "",
     writer: EstimatesWriter | None = None,
+    max_windows: int | None = None,
     progress_bar: bool = False,
 ) -> Evaluation:
     """Estimate every window of a recording and compare it with the truth.
@@ -67,6 +69,7 @@ def evaluate(
         truth: may be empty.
         protocol: the slicer's windows in words, for the report.
         writer: receives every estimate, if given.
+        max_windows: where to stop, if not at the recording's end.
         progress_bar: whether to show a bar over the recording's time.
 
     Raises:
@@ -78,6 +81,7 @@ def evaluate(
         truth,
         protocol=protocol,
         writer=writer,
+        max_windows=max_windows,
         progress_bar=progress_bar,
     )
 
@@ -90,6 +94,7 @@ def proceed(
     protocol: str = "",
     writer: EstimatesWriter | None = None,
     checkpoint: Checkpoint | None = None,
+    max_windows: int | None = None,
     progress_bar: bool = False,
 ) -> Evaluation:
     """Do what is left of an evaluation; see `evaluate`.
@@ -110,6 +115,7 @@ def proceed(
         progress.windows,
         progress.gallery,
     )
+    left = None if max_windows is None else max(0, max_windows - len(run.windows))
     with tqdm(
         total=recording.duration and round(recording.duration, 3),
         desc=recording.path.name,
@@ -118,7 +124,7 @@ def proceed(
         bar_format=_BAR,
     ) as bar:
         try:
-            for window in _windows(recording, progress):
+            for window in islice(_windows(recording, progress), left):
                 _process(progress, window, truth, writer)
                 if checkpoint is not None:
                     checkpoint.save_if_due(progress)
@@ -178,10 +184,13 @@ def _process(
         note = f"{type(error).__name__}: {error}"
         estimate = _no_estimate(window)
         progress.estimator.reset()
-    result = assess(len(progress.windows), window, estimate, truth, note)
+    tracker = progress.tracker
+    tracks = tracker.follow(estimate, truth) if tracker else None
+    track_errors = tracks.errors if tracks else None
+    result = assess(len(progress.windows), window, estimate, truth, note, track_errors)
     if writer is not None:
-        writer.append(estimate)
-    progress.gallery.offer(window, estimate, result)
+        writer.append(estimate, tracks)
+    progress.gallery.offer(window, estimate, result, tuple(tracker.recent) if tracker else ())
     progress.windows.append(result)
     progress.pending.popleft()
 

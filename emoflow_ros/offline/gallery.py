@@ -1,23 +1,26 @@
 """The few windows of an evaluation whose pictures go into the report."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import Window
 from emoflow_ros.offline.results import WindowResult
+from emoflow_ros.offline.tracks import Tracks
 
 _CAPACITY = 8
 
 
 @dataclass(frozen=True)
 class Example:
-    """A window with all that its pictures need."""
+    """A window with all that its pictures need; `tracks` are those up to it, its own last."""
 
     title: str
     window: Window
     estimate: Estimate
     result: WindowResult
+    tracks: Sequence[Tracks] = ()
 
 
 class Gallery:
@@ -38,14 +41,20 @@ class Gallery:
         self._best: Example | None = None
         self._worst: Example | None = None
 
-    def offer(self, window: Window, estimate: Estimate, result: WindowResult) -> None:
+    def offer(
+        self,
+        window: Window,
+        estimate: Estimate,
+        result: WindowResult,
+        tracks: Sequence[Tracks] = (),
+    ) -> None:
         """Consider one window; those without a flow are not shown."""
         if estimate.flow is None or (self._has_truth and result.flow is None):
             return
         if result.flow is not None and not self._has_truth:
             self._has_truth = True
             self._clear()
-        example = Example("", window, estimate, result)
+        example = Example("", window, estimate, result, tracks)
         if self._best is None or _error(example) < _error(self._best):
             self._best = example
         if self._worst is None or _error(example) > _error(self._worst):

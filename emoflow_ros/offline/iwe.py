@@ -17,15 +17,17 @@ def event_image(events: Events, width: int, height: int) -> Image:
     return _vote(events.x.astype(np.float64), events.y.astype(np.float64), width, height)
 
 
-def warped_image(window: Window, flow: FlowSampler, width: int, height: int) -> Image:
-    """Count the events per pixel after moving them along the flow to the window's middle.
+def warped_image(
+    window: Window, flow: FlowSampler, reference: int, width: int, height: int
+) -> Image:
+    """Count the events per pixel after moving them along the flow to time `reference` (ns).
 
-    The displacement to the middle is taken from the flow at 17 times and is linear in between.
+    The displacement is taken from the flow at 17 times and is linear in between.
 
     Returns:
         (height, width), by bilinear voting.
     """
-    events, reference = window.events, (window.t_start + window.t_end) // 2
+    events = window.events
     times = np.linspace(window.t_start, window.t_end, _INTERVALS + 1).astype(np.int64)
     interval = np.clip(np.searchsorted(times, events.t, side="right") - 1, 0, _INTERVALS - 1)
     moved = np.empty((len(events), 2))

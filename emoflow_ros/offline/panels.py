@@ -75,7 +75,8 @@ def _events(left: Axes, right: Axes, example: Example, flow: FlowSampler, camera
     """Events before and after the warp on one grey scale, so that sharpness can be compared."""
     size = camera.width, camera.height
     before = event_image(example.window.events, *size)
-    after = warped_image(example.window, flow, *size)
+    window = example.window
+    after = warped_image(window, flow, (window.t_start + window.t_end) // 2, *size)
     limit = float(np.percentile(after[after > 0], 99.5)) if (after > 0).any() else 1.0
     for ax, image, title in (
         (left, before, "Events before the warp"),

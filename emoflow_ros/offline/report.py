@@ -1,6 +1,7 @@
 """Write an evaluation's results: report.json, windows.csv and one self-contained report.html."""
 
 import csv
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline import figures
+from emoflow_ros.offline.ablation import Ablation
 from emoflow_ros.offline.document import without_nan, write_json
 from emoflow_ros.offline.evaluation import Evaluation
 from emoflow_ros.offline.html import png_uri, render, svg_uri
@@ -17,6 +19,7 @@ from emoflow_ros.offline.panels import window_panels
 from emoflow_ros.offline.provenance import machine, versions
 from emoflow_ros.offline.results import MIN_TRUE_RATE, MIN_TRUE_SPEED, WindowResult
 from emoflow_ros.offline.summary import Measure, summarise
+from emoflow_ros.offline.track_panels import track_panels
 
 _TEMPLATE = "report.html.j2"
 _MAX_TABLE_ROWS = 400
@@ -38,7 +41,10 @@ DEFINITIONS = (
 
 
 def write_report(
-    run: Evaluation, configuration: Mapping[str, Any], folder: Path
+    run: Evaluation,
+    configuration: Mapping[str, Any],
+    folder: Path,
+    ablation: Ablation | None = None,
 ) -> tuple[Path, Path]:
     """Write report.json, windows.csv and report.html into an existing folder.
 
@@ -46,6 +52,7 @@ def write_report(
         run: with at least one window.
         configuration: option values by dotted name.
         folder: where to.
+        ablation: of the run, if there was one.
 
     Returns:
         The paths of report.html and report.json.
@@ -58,12 +65,13 @@ def write_report(
         "configuration": dict(configuration),
         "definitions": DEFINITIONS,
         "summary": {m.key: _measure_entry(m) for m in measures},
+        "ablation": dataclasses.asdict(ablation) if ablation else None,
         "windows": rows,
     }
     json_path, html_path = folder / "report.json", folder / "report.html"
     write_json(json_path, document)
     _write_csv(folder / "windows.csv", rows)
-    html_path.write_text(_html(run, measures, facts, configuration), encoding="utf-8")
+    html_path.write_text(_html(run, measures, facts, configuration, ablation), encoding="utf-8")
     return html_path, json_path
 
 
@@ -95,6 +103,10 @@ def window_row(window: WindowResult) -> dict[str, Any]:
         "ae_deg": window.flow.ae_deg if window.flow else None,
         "true_displacement_px": window.flow.truth_px if window.flow else None,
         "compared_pixels": window.flow.pixels if window.flow else None,
+        "track_error_px": window.tracks.end_px if window.tracks else None,
+        "track_true_px": window.tracks.true_px if window.tracks else None,
+        "track_age_s": window.tracks.age_s if window.tracks else None,
+        "compared_tracks": window.tracks.points if window.tracks else None,
         "contrast_gain": window.quality.contrast_gain,
         "residual_px": window.quality.residual_px,
         "inlier_fraction": window.quality.inlier_fraction,
@@ -134,23 +146,26 @@ def _html(
     measures: Sequence[Measure],
     facts: Mapping[str, Any],
     configuration: Mapping[str, Any],
+    ablation: Ablation | None,
 ) -> str:
     charts = [
         ("Egomotion over time", figures.twist_over_time(run.windows)),
         ("Errors over time", figures.errors_over_time(run.windows)),
         ("Distribution of the errors over windows", figures.error_histograms(run.windows)),
     ]
-    examples = [
-        (example, png_uri(window_panels(example, run.camera, run.truth)))
-        for example in run.gallery.examples()
-    ]
+    examples = run.gallery.examples()
+    with_tracks = [example for example in examples if example.tracks]
+    tracked = max(with_tracks, key=lambda example: len(example.tracks), default=None)
     return render(
         _TEMPLATE,
         name=run.source.name,
         facts=facts,
         measures=measures,
         charts=[(title, svg_uri(figure)) for title, figure in charts if figure],
-        examples=examples,
+        examples=[(e, png_uri(window_panels(e, run.camera, run.truth))) for e in examples],
+        tracked=tracked,
+        tracks_image=png_uri(track_panels(tracked, run.camera)) if tracked else None,
+        ablation=ablation,
         windows=_table(run.windows),
         windows_left_out=max(0, len(run.windows) - _MAX_TABLE_ROWS),
         start=run.windows[0].t_start,

@@ -15,6 +15,7 @@ from emoflow_ros.offline.metrics import (
     flow_errors,
     known_flow_mask,
 )
+from emoflow_ros.offline.tracks import TrackErrors
 from emoflow_ros.offline.truth import TrueFlow, TrueTwist, Truth
 
 Vector = NDArray[np.float64]
@@ -41,6 +42,7 @@ class WindowResult:
         flow: errors of the displacement over the window, where the truth is known.
         quality: the estimator's own record.
         note: the exception, where the estimator raised one.
+        tracks: errors of the point tracks at the window's end, where points are tracked.
     """
 
     index: int
@@ -56,6 +58,7 @@ class WindowResult:
     flow: FlowErrors | None
     quality: Quality
     note: str = ""
+    tracks: TrackErrors | None = None
 
     @property
     def ok(self) -> bool:
@@ -111,7 +114,12 @@ class WindowResult:
 
 
 def assess(
-    index: int, window: Window, estimate: Estimate, truth: Truth, note: str = ""
+    index: int,
+    window: Window,
+    estimate: Estimate,
+    truth: Truth,
+    note: str = "",
+    tracks: TrackErrors | None = None,
 ) -> WindowResult:
     """Compare one window's estimate with the truth.
 
@@ -136,6 +144,7 @@ def assess(
         flow=_compare_flow(window, estimate, truth),
         quality=estimate.quality,
         note=note,
+        tracks=tracks,
     )
 
 

@@ -42,7 +42,13 @@ class Measure:
 
 def summarise(windows: Sequence[WindowResult]) -> list[Measure]:
     """Compute every figure that the windows allow; those without any window are left out."""
-    measures = [*_flow(windows), *_angular(windows), *_linear(windows), *_effort(windows)]
+    measures = [
+        *_flow(windows),
+        *_tracks(windows),
+        *_angular(windows),
+        *_linear(windows),
+        *_effort(windows),
+    ]
     return [measure for measure in measures if measure.windows]
 
 
@@ -62,6 +68,21 @@ def _flow(windows: Sequence[WindowResult]) -> list[Measure]:
         mean("pe1_percent", "1PE (EPE > 1 px)", "%", "pe1"),
         mean("ae_deg", "Flow angular error", "deg", "ae_deg"),
         mean("true_displacement_px", "True displacement", "px", "truth_px"),
+    ]
+
+
+def _tracks(windows: Sequence[WindowResult]) -> list[Measure]:
+    errors = [w.tracks for w in windows if w.tracks]
+    ratio = [(e.end_px, e.true_px) for e in errors]
+    return [
+        _measure("track_error_px", "Track error", "px", [e.end_px for e in errors], np.mean),
+        _measure(
+            "track_error_percent",
+            "Track error / true displacement",
+            "%",
+            ratio,
+            _percent_of_truth,
+        ),
     ]
 
 

@@ -10,6 +10,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.simulation.cameras import davis346
+from emoflow_ros.simulation.recording import simulate
+from emoflow_ros.simulation.writer import OutputPaths, write_recording
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 _DEFINITIONS = {
@@ -21,6 +24,27 @@ _DEFINITIONS = {
 @pytest.fixture
 def make_events():
     return _make_events
+
+
+@pytest.fixture(scope="session")
+def calm_bag(tmp_path_factory):
+    """0.4 s of the simulator's scene `calm`, as rosbag2."""
+    return _simulated(tmp_path_factory, "calm")
+
+
+@pytest.fixture(scope="session")
+def mover_bag(tmp_path_factory):
+    """0.4 s of the same scene with a box that moves by itself."""
+    return _simulated(tmp_path_factory, "mover")
+
+
+def _simulated(tmp_path_factory, scene: str) -> OutputPaths:
+    recording = simulate(
+        scene, duration_s=0.4, seed=1, camera=davis346("plumb_bob"), fps=400, start_ns=10**9
+    )
+    files = OutputPaths.within(tmp_path_factory.mktemp("sim"), scene, "rosbag2")
+    write_recording(recording, files, "rosbag2")
+    return files
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
+from emoflow_ros.offline.tracks import INSTANTS, Tracks
 
 CAMERA = Camera(6, 4, 5.0, 5.0, 3.0, 2.0, "equidistant", (0.1, 0.2, 0.3, 0.4))
 T0 = 1_744_227_144_732_712_345  # a Unix time that float64 seconds cannot hold exactly
@@ -85,10 +86,34 @@ def test_every_dataset_carries_unit_and_description(tmp_path):
         assert all(file[name].attrs["description"] for name in file)
 
 
+def test_tracks_round_trip(tmp_path):
+    path = tmp_path / "estimates.h5"
+    positions = np.random.default_rng(0).uniform(0, 6, (2, INSTANTS, 3, 2))
+    positions[1, 4:, 0] = np.nan
+    options = {"camera": CAMERA, "source": "", "configuration": {}, "tracks": 3}
+    with EstimatesWriter(path, **options) as writer:
+        for i in range(2):
+            times = T0 + i * 90_000_000 + np.arange(INSTANTS) * 11_250_000
+            ids = np.array([0, 1, 2 + i])
+            nothing = np.full((2, 3, 2), np.nan)
+            writer.append(estimate(i), Tracks(times, positions[i], ids, nothing, None))
+    columns = read_estimates(path).columns
+    np.testing.assert_allclose(columns["tracks"], positions, rtol=1e-6)
+    assert columns["track_id"].tolist() == [[0, 1, 2], [0, 1, 3]]
+    assert columns["track_times_ns"][1, 8] == T0 + 180_000_000
+    with h5py.File(path) as file:
+        assert file["tracks"].attrs["unit"] == "px"
+        assert all(file[name].attrs["description"] for name in file)
+    with EstimatesWriter(path, **options, keep=1):
+        pass
+    assert read_estimates(path).columns["tracks"].shape == (1, INSTANTS, 3, 2)
+
+
 def test_without_flow(tmp_path):
     path = tmp_path / "estimates.h5"
     write(path, save_flow=False)
     assert not read_estimates(path).has_flow
+    assert "tracks" not in read_estimates(path).columns
 
 
 def test_complete_after_each_row(tmp_path):

@@ -3,23 +3,9 @@
 import json
 
 import numpy as np
-import pytest
 
 from emoflow_ros.offline import evaluate, evaluation
 from emoflow_ros.offline.estimates import read_estimates
-from emoflow_ros.simulation.cameras import davis346
-from emoflow_ros.simulation.recording import simulate
-from emoflow_ros.simulation.writer import OutputPaths, write_recording
-
-
-@pytest.fixture(scope="module")
-def paths(tmp_path_factory):
-    recording = simulate(
-        "calm", duration_s=0.4, seed=1, camera=davis346("plumb_bob"), fps=400, start_ns=10**9
-    )
-    files = OutputPaths.within(tmp_path_factory.mktemp("sim"), "calm", "rosbag2")
-    write_recording(recording, files, "rosbag2")
-    return files
 
 
 def call(monkeypatch, *arguments):
@@ -27,10 +13,10 @@ def call(monkeypatch, *arguments):
     return evaluate.main()
 
 
-def test_bag_to_report(monkeypatch, capsys, tmp_path, paths):
+def test_bag_to_report(monkeypatch, capsys, tmp_path, calm_bag):
     out = tmp_path / "out"
-    truth = ("--gt", paths.truth, paths.flow)
-    assert call(monkeypatch, paths.data, *truth, "--out", out, "--save-flow") == 0
+    truth = ("--gt", calm_bag.truth, calm_bag.flow)
+    assert call(monkeypatch, calm_bag.data, *truth, "--out", out, "--save-flow") == 0
     report = json.loads((out / "report.json").read_text())
     assert report["windows_ok"] == 4
     assert report["topic"] == "/davis/left/events"
@@ -45,9 +31,9 @@ def test_bag_to_report(monkeypatch, capsys, tmp_path, paths):
     assert estimates.configuration["window.duration_ms"] == 90.0
 
 
-def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, paths):
+def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, calm_bag):
     """The real estimator's memory survives the checkpoint: bitwise the same estimates."""
-    options = (paths.data, "--window-ms", 60, "--set", "window.stride_ms=30")
+    options = (calm_bag.data, "--window-ms", 60, "--stride-ms", 30, "--tracks", 20)
     assert call(monkeypatch, *options, "--out", tmp_path / "whole") == 0
     monkeypatch.setattr("emoflow_ros.offline.checkpoint._PERIOD_S", 0.0)
 
@@ -66,21 +52,50 @@ def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, paths):
         read_estimates(tmp_path / name / "estimates.h5").columns for name in ("whole", "parts")
     )
     assert len(whole["t"]) == 12
-    for name in ("t_start_ns", "angular", "linear", "covariance"):
+    for name in ("t_start_ns", "angular", "linear", "covariance", "tracks", "track_id"):
         np.testing.assert_array_equal(parts[name], whole[name])
 
 
-def test_too_long_a_window(monkeypatch, capsys, tmp_path, paths):
-    code = call(monkeypatch, paths.data, "--window-ms", 500, "--out", tmp_path / "out")
+def test_tracks_follow_the_true_displacement(monkeypatch, tmp_path, calm_bag):
+    """Points that are carried through four windows, against the truth carried the same way."""
+    out = tmp_path / "out"
+    truth = ("--gt", calm_bag.truth, calm_bag.flow)
+    assert call(monkeypatch, calm_bag.data, *truth, "--tracks", 60, "--out", out) == 0
+    report = json.loads((out / "report.json").read_text())
+    last = [w for w in report["windows"] if w["compared_tracks"]][-1]
+    assert last["compared_tracks"] > 45
+    assert 0.15 < last["track_age_s"] <= 0.36
+    assert last["track_true_px"] > 8
+    assert last["track_error_px"] < 0.25 * last["track_true_px"]
+    assert 'id="tracks"' in (out / "report.html").read_text()
+    columns = read_estimates(out / "estimates.h5").columns
+    tracks, ids = columns["tracks"], columns["track_id"]
+    assert tracks.shape == (4, 9, 60, 2)
+    for k in range(3):  # from window to window without a jump
+        same = ids[k] == ids[k + 1]
+        assert same.sum() > 45
+        np.testing.assert_array_equal(tracks[k + 1, 0, same], tracks[k, -1, same])
+    np.testing.assert_array_equal(columns["track_times_ns"][:, -1], columns["t_end_ns"])
+
+
+def test_first_windows_alone(monkeypatch, tmp_path, calm_bag):
+    out = tmp_path / "out"
+    assert call(monkeypatch, calm_bag.data, "--max-windows", 2, "--out", out) == 0
+    assert json.loads((out / "report.json").read_text())["windows_total"] == 2
+    assert len(read_estimates(out / "estimates.h5")) == 2
+
+
+def test_too_long_a_window(monkeypatch, capsys, tmp_path, calm_bag):
+    code = call(monkeypatch, calm_bag.data, "--window-ms", 500, "--out", tmp_path / "out")
     assert code == 2
     error = capsys.readouterr().err
     assert "less than one window; give a shorter one with --window-ms" in error
 
 
-def test_mvsec_protocol_on_the_truths_stamps(monkeypatch, tmp_path, paths):
+def test_mvsec_protocol_on_the_truths_stamps(monkeypatch, tmp_path, calm_bag):
     out = tmp_path / "out"
-    arguments = ("--gt", paths.truth, paths.flow, "--protocol", "mvsec-dt1", "--out", out)
-    assert call(monkeypatch, paths.data, *arguments) == 0
+    arguments = ("--gt", calm_bag.truth, calm_bag.flow, "--protocol", "mvsec-dt1", "--out", out)
+    assert call(monkeypatch, calm_bag.data, *arguments) == 0
     report = json.loads((out / "report.json").read_text())
     assert "mvsec-dt1: from every ground-truth stamp" in report["protocol"]
     lengths = {round(w["t_end_s"] - w["t_start_s"], 6) for w in report["windows"]}

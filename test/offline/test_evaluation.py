@@ -215,7 +215,7 @@ def test_warp_brings_the_events_of_a_moving_point_together(folder):
     events.y[:] = np.rint(90 - 10 * seconds)
     window = WindowSlicer(WindowPolicy(duration_ms=499.0)).push(events)[0]
     before = event_image(window.events, 240, 180)
-    after = warped_image(window, ConstantFlow(), 240, 180)
+    after = warped_image(window, ConstantFlow(), 2_249_500_000, 240, 180)
     assert before.sum() == len(window.events)
     assert after.sum() == pytest.approx(len(window.events))
     # At the middle, 249.5 ms, the point is at (104.99, 87.5).
