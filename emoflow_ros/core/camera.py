@@ -150,6 +150,10 @@ class Camera:
                 estimate = estimate - _solve_2x2(jacobian, error)
             distorted, jacobian = self.distort(estimate)
             failed = ~(np.abs(distorted - target).max(axis=-1) < 1e-6)
+            for share in np.linspace(0.1, 1.0, 10):  # no fold between the centre and there
+                _, lens = self.distort(share * estimate)
+                upright = np.trace(lens, axis1=-2, axis2=-1) > 0
+                failed |= ~((np.linalg.det(lens) > 0) & upright)
             inverse = _inverse_2x2(jacobian) / focal
         estimate[failed] = np.nan
         inverse[failed] = np.nan

@@ -62,8 +62,12 @@ def load_config(
         values.update(_read(params_file))
     values.update(overrides or {})
     method = values.pop("method", Config.method)
-    if method not in _ESTIMATORS:
-        raise InputError("method", f"unknown '{method}'", f"use {' or '.join(_ESTIMATORS)}")
+    if not isinstance(method, str) or method not in _ESTIMATORS:
+        raise InputError("method", f"unknown {method!r}", f"use {' or '.join(_ESTIMATORS)}")
+    if values.pop("profile", profile) != profile:
+        raise InputError(
+            "profile", "cannot be changed by a file or an override", "choose it by its own option"
+        )
     start = Config(profile=profile, method=method, estimator=_ESTIMATORS[method]())
     return replace_options(start, values)
 

@@ -78,7 +78,7 @@ class NodeEpipolar:
     Args:
         camera: with its lens; nodes where the lens has no inverse are left out.
         lattice: the flow field's.
-        inlier_px: residual, px per window, at which a node loses half its influence
+        inlier_px: residual, px per window, at which a node costs half as much as by squares
             (Geman-McClure: moving objects drop out).
     """
 

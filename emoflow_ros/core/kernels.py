@@ -158,7 +158,7 @@ def pull(
     """Add each event's pull, and its stiffness, to its lattice cell.
 
     An event at x' climbs the potential: its gradient is that of the bilinear interpolant
-    (so the sum is the exact derivative of the contrast), its stiffness the negative Hessian
+    (so the sum is the exact derivative of the contrast, (u . grad) u held fixed), its stiffness the negative Hessian
     there, cut to its positive semidefinite part.
 
     Args:
@@ -189,7 +189,8 @@ def pull(
             continue
         c, fx = cell_of(x[k] * per_px[0], cells_x)
         r, fy = cell_of(y[k] * per_px[1], cells_y)
-        q, ft = cell_of(s[k] * cells_t, cells_t)
+        # The change in time acts through the acceleration, too: as at half the way to `ref`.
+        q, ft = cell_of(half * (s[k] + middle) * cells_t, cells_t)
         node[0] = (one - fx) * (one - fy) * (one - ft)
         node[1] = (one - fx) * (one - fy) * ft
         node[2] = (one - fx) * fy * (one - ft)
@@ -290,8 +291,8 @@ def add_stencil(
 ) -> None:  # fmt: skip
     """Add a robust penalty on linear combinations of neighbouring nodes.
 
-    Charbonnier: weight * limit^2 * sqrt(1 + |z|^2 / limit^2) with z the combination of the
-    flow's (u, v) over all times, linearised as in iteratively reweighted least squares.
+    Charbonnier: weight * T limit^2 * sqrt(1 + |z|^2 / (T limit^2)) with z the combination of
+    the flow's (u, v) over all T times, linearised as in iteratively reweighted least squares.
 
     Args:
         flow: (nodes, times, 2).

@@ -17,7 +17,7 @@ class LatticeConfig:
         26.0, "distance of the flow lattice's nodes", unit="px", minimum=8.0, maximum=200.0
     )
     smoothness: float = option(
-        0.4, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
+        0.6, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
     )
     edge_px: float = option(
         0.4,
@@ -37,7 +37,7 @@ class LatticeConfig:
     )
     dec_inlier_px: float = option(
         0.7,
-        "residual of the constraint at which a node counts half: moving objects drop out",
+        "residual of the constraint at which a node costs half: moving objects drop out",
         unit="px per window",
         minimum=1e-2,
         maximum=100.0,

@@ -82,7 +82,11 @@ class LatticeEstimator:
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
         last = self._last
-        warm = last is not None and 0 <= window.t_end - last.t_end <= _MAX_GAP_S * NS_PER_S
+        warm = (
+            last is not None
+            and window.t_end >= last.t_end
+            and window.t_start - last.t_end <= _MAX_GAP_S * NS_PER_S
+        )
         try:
             if warm and last is not None:
                 stop = self._fit_warm(window, events, last)
@@ -143,7 +147,7 @@ class LatticeEstimator:
         best = int(cost.argmin())
         fit.motion = Motion.constant(w[best], v[best])
         self._select(free, v[best], w[best])
-        return self._refine(events, self.config.cold_iterations, None)
+        return self._refine(events, self.config.cold_iterations, None, hurry=False)
 
     def _fit_warm(self, window: Window, events: WindowEvents, last: _Last) -> str:
         """Predict flow and motion from the last window, and correct them coarse to fine."""
@@ -175,7 +179,7 @@ class LatticeEstimator:
             for _ in range(steps):
                 fit.linearise(few, scale)
                 self._step(prior)
-        return self._refine(events, self.config.warm_iterations, prior)
+        return self._refine(events, self.config.warm_iterations, prior, hurry=True)
 
     def _prior(self, window: Window, last: _Last) -> MotionPrior | None:
         """Carry the belief over to the middle of the window, in its units."""
@@ -190,13 +194,15 @@ class LatticeEstimator:
         mean = unit * np.concatenate([last.belief.w, last.belief.v])
         return MotionPrior(mean, information / np.outer(unit, unit))
 
-    def _refine(self, events: WindowEvents, steps: int, prior: MotionPrior | None) -> str:
+    def _refine(
+        self, events: WindowEvents, steps: int, prior: MotionPrior | None, *, hurry: bool
+    ) -> str:
         """Step at full resolution; before the last step check motion model and direction."""
         fit = self._fit
         stop = "iterations"
         for k in range(steps):
             last = k == steps - 1 or fit.step_px < _CONVERGED_PX
-            if k > 0 and prior is not None and self._late():
+            if k > 0 and hurry and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
             if last and self._reconsider(fit.free_flow(), prior):

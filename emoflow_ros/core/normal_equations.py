@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy.linalg import cho_factor, cho_solve, lapack
 
 from emoflow_ros.core.lattice import Lattice
 
@@ -88,9 +88,10 @@ class NormalEquations:
         both = np.column_stack([self.vector, border])
         solved, _ = lapack.dpbtrs(factor, both, lower=1)
         information = corner - border.T @ solved[:, 1:]
+        information = 0.5 * (information + information.T)
         try:
-            further = np.linalg.solve(information, corner_vector - border.T @ solved[:, 0])
-        except np.linalg.LinAlgError as error:
+            further = cho_solve(cho_factor(information), corner_vector - border.T @ solved[:, 0])
+        except (np.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefiniteError from error
         step = solved[:, 0] - solved[:, 1:] @ further
         if not np.isfinite(step).all():

@@ -20,7 +20,9 @@ _ERROR_PX = 0.8
 _ERROR_SHARE = 0.06
 # ... and the full model, with a depth for each node, lowers the cost by this factor anyway.
 _FREEDOM = 4.5
-_NOTHING_SHARE = 0.015  # so little that there is nothing else to explain
+# So little that there is nothing else to explain:
+_NOTHING_PX = 0.15
+_NOTHING_SHARE = 0.015
 _HYSTERESIS = 1.25
 
 
@@ -72,7 +74,10 @@ class ModelSelector:
             setattr(self, name, past * getattr(self, name) + (1 - past) * value)
         self.windows += 1
         slack = _HYSTERESIS if self.model is MotionModel.ROTATION else 1.0
-        rotates = self.residual_share < _NOTHING_SHARE * slack or (
+        nothing = (
+            self.residual_share < _NOTHING_SHARE * slack or self.residual_px < _NOTHING_PX * slack
+        )
+        rotates = nothing or (
             self.residual_px < _ERROR_PX * slack
             and self.residual_share < _ERROR_SHARE * slack
             and self.advantage < np.log(slack)

@@ -15,7 +15,10 @@ NS_PER_MS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Events of the half-open interval [t_start, t_end), in nanoseconds."""
+    """Events of the interval [t_start, t_end), in nanoseconds.
+
+    In a window by count, events that share the time of the first one left out may lie at t_end.
+    """
 
     t_start: int
     t_end: int

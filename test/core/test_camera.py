@@ -159,3 +159,10 @@ def test_camera_from_camera_info(model, d, expected_model, expected_d):
     camera = Camera.from_intrinsic_matrix(346, 260, k, model, d)
     assert camera == Camera(346, 260, 226.0, 227.0, 173.0, 133.0, expected_model, expected_d)
     np.testing.assert_array_equal(camera.intrinsic_matrix.ravel(), k)
+
+
+def test_no_bearing_beyond_a_fold():
+    camera = Camera(346, 260, 226.0, 226.0, 173.0, 133.0, "plumb_bob", (-0.4, 0.0, 0.0, 0.0))
+    radius = np.linalg.norm((pixel_grid(camera) - (173, 133)) / 226, axis=-1)
+    assert np.isnan(camera.bearings[radius > 0.609]).all()  # maximum of r (1 - 0.4 r^2)
+    assert np.isfinite(camera.bearings[radius < 0.6]).all()

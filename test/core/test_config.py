@@ -114,3 +114,17 @@ def test_unknown_profiles_name_the_known_ones():
 
 def test_a_default_configuration_is_the_dataclasses():
     assert Config().estimator == LatticeConfig()
+
+
+def test_a_method_that_is_no_name_is_refused(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text("method: [lattice]\n")
+    with pytest.raises(InputError, match="method: unknown"):
+        load_config(params_file=path)
+
+
+def test_a_file_cannot_rename_the_profile():
+    with pytest.raises(InputError, match="profile: cannot be changed"):
+        load_config("realtime", {"profile": "paper"})
+    config = load_config("paper")
+    assert load_config("paper", config.flat()) == config

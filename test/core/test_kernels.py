@@ -119,7 +119,7 @@ def slow_pull(x, y, s, weights, ref, position, potential, scale):
     """Gradient (n,) and curvature (n, n) of the lattice, event by event."""
     n = LATTICE.unknowns
     gradient, curvature = np.zeros(n), np.zeros((n, n))
-    basis = node_weights(x, y, s).reshape(EVENTS, -1)
+    basis = node_weights(x, y, (s + ref) / 2).reshape(EVENTS, -1)
     p = potential.astype(np.float64)
     at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
     for k in range(EVENTS):

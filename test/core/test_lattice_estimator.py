@@ -172,6 +172,28 @@ def test_a_deadline_ends_a_warm_window_early(calm):
     assert warm.status is Status.OK
 
 
+def test_a_deadline_ends_a_rotation_early(rotation):
+    estimator = rotation.estimator(deadline_ms=1e-3)
+    _, warm = (estimator.estimate(w) for w in rotation.windows[:2])
+    assert warm.quality.stop_reason == "deadline"
+    assert warm.model is MotionModel.ROTATION
+
+
+def test_long_windows_start_warm_where_they_adjoin(calm):
+    """The gap that ends a warm start is that between windows, not their length."""
+    events = Events.concatenate([w.events for w in calm.windows])
+    start, end = calm.windows[0].t_start, calm.windows[-1].t_end
+    middle = (start + end) // 2
+    stretched = Events(events.x, events.y, start + 5 * (events.t - start), events.p)
+    middle, end = start + 5 * (middle - start), start + 5 * (end - start)
+    cut = int(np.searchsorted(stretched.t, middle))
+    estimator = calm.estimator()
+    first = estimator.estimate(Window(start, middle, stretched[:cut]))
+    second = estimator.estimate(Window(middle, end, stretched[cut:]))
+    assert first.status is Status.OK and not first.quality.warm
+    assert second.quality.warm
+
+
 def test_events_beyond_the_sensor_are_ignored(calm):
     window = calm.windows[0]
     x = np.insert(window.events.x, [0, 500, 90_000], [346, 65_535, 3])

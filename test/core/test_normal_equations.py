@@ -127,3 +127,8 @@ def test_values_that_are_not_finite_are_an_error(equations, bad):
         equations.solve()
     with pytest.raises(NotPositiveDefiniteError):
         equations.solve_bordered(*border(np.random.default_rng(6)))
+
+
+def test_a_saddle_is_no_minimum(equations):
+    with pytest.raises(NotPositiveDefiniteError):
+        equations.solve_bordered(np.zeros((N, 2)), -np.eye(2), np.ones(2))
