@@ -158,8 +158,8 @@ def pull(
     """Add each event's pull, and its stiffness, to its lattice cell.
 
     An event at x' climbs the potential: its gradient is that of the bilinear interpolant
-    (so the sum is the exact derivative of the contrast, (u . grad) u held fixed), its stiffness the negative Hessian
-    there, cut to its positive semidefinite part.
+    (so the sum is the exact derivative of the contrast, but for (u . grad) u in the warp),
+    its stiffness the negative Hessian there, cut to its positive semidefinite part.
 
     Args:
         x, y, s, weights: (N,) events as they were voted.
