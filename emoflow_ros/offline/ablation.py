@@ -7,6 +7,7 @@ from typing import Any
 
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, Estimator
+from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.windows import Window
@@ -73,7 +74,10 @@ _VARIANTS: dict[str, dict[str, tuple[Variant, ...]]] = {
         ),
     },
     "start": {
-        "lattice": (Variant("warm"), Variant("cold", cold=True)),
+        "lattice": (
+            Variant("warm (from the window before)"),
+            Variant("cold (every window by itself)", cold=True),
+        ),
     },
 }
 ABLATIONS = tuple(_VARIANTS)
@@ -154,8 +158,6 @@ def ablate(
     Raises:
         InputError: see `variants_of`.
     """
-    from emoflow_ros.core.factory import make_estimator
-
     rows: list[Row] = []
     for variant in variants_of(name, config):
         changed = replace_options(config, variant.overrides)

@@ -11,6 +11,7 @@ import yaml
 
 from emoflow_ros import cli
 from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline import compare
 from emoflow_ros.offline.ablation import ABLATIONS, ablate, table_of, variants_of
@@ -153,9 +154,6 @@ def _run(options: argparse.Namespace) -> int:
         _make_folder(folder)
         checkpoint = Checkpoint(folder / "checkpoint.pickle", _identity(options, config, plan))
         done = checkpoint.load() if options.resume else None
-        # Loads torch and numba, which --help and bad input need not wait for.
-        from emoflow_ros.core.factory import make_estimator
-
         progress = done or Progress(
             make_estimator(camera, config),
             copy.deepcopy(plan.slicer),

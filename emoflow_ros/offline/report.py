@@ -30,6 +30,9 @@ DEFINITIONS = (
     "pixels of a window first and over windows second.",
     "Angular flow error is the angle between (u, v, 1) and the true (u, v, 1), in pixels over "
     "the window.",
+    "Tracks are carried from window to window until they leave the image; their error is the "
+    "distance from the true position at a window's end, which was carried along the true flow "
+    "from the same start.",
     "RMS is the root of the mean square over windows and the three axes.",
     f"The axis of ω is compared where the true |ω| exceeds {np.degrees(MIN_TRUE_RATE):.0f} deg/s, "
     f"the direction of v where the true speed exceeds {MIN_TRUE_SPEED} m/s. The direction error "

@@ -75,10 +75,16 @@ def _tracks(windows: Sequence[WindowResult]) -> list[Measure]:
     errors = [w.tracks for w in windows if w.tracks]
     ratio = [(e.end_px, e.true_px) for e in errors]
     return [
-        _measure("track_error_px", "Track error", "px", [e.end_px for e in errors], np.mean),
+        _measure(
+            "track_error_px",
+            "Track error since its start",
+            "px",
+            [e.end_px for e in errors],
+            np.mean,
+        ),
         _measure(
             "track_error_percent",
-            "Track error / true displacement",
+            "Track error / its true displacement",
             "%",
             ratio,
             _percent_of_truth,

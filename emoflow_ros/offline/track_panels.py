@@ -23,7 +23,7 @@ def track_panels(example: Example, camera: Camera) -> Figure:
     window, flow = example.window, example.estimate.flow
     assert flow is not None, "the gallery holds windows with a flow only"
     paths, ages = _paths(example)
-    figure = Figure(figsize=(10, 5 * camera.height / camera.width + 1.0), layout="constrained")
+    figure = Figure(figsize=(10, 5 * camera.height / camera.width + 1.3), layout="constrained")
     left, right = figure.subplots(1, 2)
     sharp = warped_image(window, flow, window.t_end, camera.width, camera.height)
     limit = 2.0 * float(np.percentile(sharp[sharp > 0], 99)) if (sharp > 0).any() else 1.0
