@@ -55,14 +55,19 @@ def to_flow_image(flow: NDArray[np.float32], header: Header) -> Image:
 
 def to_diagnostics(name: str, report: Report, stamp: Time) -> DiagnosticArray:
     """Build the diagnostics of one node."""
-    status = DiagnosticStatus(
+    status = to_status(f"{name}: estimator", name, report)
+    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
+
+
+def to_status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
+    """Build one status: level, message and numbers of a report."""
+    return DiagnosticStatus(
         level=bytes([report.level]),
-        name=f"{name}: estimator",
+        name=name,
         message=report.message,
-        hardware_id=name,
+        hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
     )
-    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
 
 
 def to_camera(info: CameraInfo) -> Camera:

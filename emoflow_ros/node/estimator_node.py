@@ -6,24 +6,24 @@ from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
 from emoflow_ros.node.discovery import EventTopic
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.parameters import NodeParameters, Settings
 from emoflow_ros.node.statistics import Level, Statistics
-from emoflow_ros.node.supervisor import FACTORY, Loss, Outcome, Result, Supervisor
+from emoflow_ros.node.supervisor import FACTORY, Supervisor
+from emoflow_ros.node.tasks import Loss, Outcome, Result, Task
 
-_OUTPUT_DEPTH = 10
+_DIAGNOSTICS_DEPTH = 10
 _THROTTLE_S = 5.0
 
 type Transition = Callable[["EstimatorNode", LifecycleState], None]
@@ -98,14 +98,10 @@ class EstimatorNode(LifecycleNode):
         path = options.camera.calibration_file
         self._camera = load_calibration(Path(path)) if path else None
         self._statistics = Statistics()
-        self._twist = self.create_lifecycle_publisher(
-            TwistStamped, "egomotion/twist", _OUTPUT_DEPTH
+        self._outputs = Outputs(self)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, "/diagnostics", _DIAGNOSTICS_DEPTH
         )
-        self._twist_with_covariance = self.create_lifecycle_publisher(
-            TwistWithCovarianceStamped, "egomotion/twist_with_covariance", _OUTPUT_DEPTH
-        )
-        self._flow = self.create_lifecycle_publisher(Image, "flow/image", _OUTPUT_DEPTH)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", _OUTPUT_DEPTH)
         self._diagnostics_timer = self.create_timer(
             options.output.diagnostics_s, self._publish_diagnostics
         )
@@ -174,8 +170,7 @@ class EstimatorNode(LifecycleNode):
         self._supervisor = None
         self.destroy_timer(self._diagnostics_timer)
         self.destroy_publisher(self._diagnostics)
-        for publisher in (self._twist, self._twist_with_covariance, self._flow):
-            self.destroy_lifecycle_publisher(publisher)
+        self._outputs.destroy()
 
     def _apply_settings(self, settings: Settings) -> None:
         """Take new settings for the next window."""
@@ -210,9 +205,11 @@ class EstimatorNode(LifecycleNode):
             self._supervisor.queue.clear()
             self.get_logger().info("event time went back: the estimation starts anew")
         if tasks:
-            self._supervisor.flow_wanted = self._flow.get_subscription_count() > 0
+            self._supervisor.flow_wanted = self._outputs.flow_wanted
         for task in tasks:
-            self._supervisor.queue.put(task)
+            dropped = self._supervisor.queue.put(task)
+            if dropped is not None:
+                self._outputs.publish_dropped(dropped)
         self._statistics.counts["windows_dropped"] = self._supervisor.queue.dropped
 
     def _take_camera_info(self, info: CameraInfo) -> None:
@@ -242,22 +239,23 @@ class EstimatorNode(LifecycleNode):
             match self._outcomes.get():
                 case Result() as result:
                     self._publish(result)
-                case Loss(reason, worker):
-                    self._statistics.counts["worker_restarts" if worker else "windows_failed"] += 1
-                    self.get_logger().error(reason)
+                case Loss() as loss:
+                    self._report(loss)
 
     def _publish(self, result: Result) -> None:
-        if self._supervisor is None or result.task.epoch != self._epoch:
-            return
-        self._statistics.add_result(result)
-        estimate = result.estimate
-        if estimate.status is not Status.OK:
-            return
-        header = converters.to_header(estimate.t + result.task.time_offset, result.task.frame_id)
-        self._twist.publish(converters.to_twist(estimate, header))
-        self._twist_with_covariance.publish(converters.to_twist_with_covariance(estimate, header))
-        if result.flow is not None:
-            self._flow.publish(converters.to_flow_image(result.flow, header))
+        if self._is_current(result.task):
+            self._statistics.add_result(result)
+            self._outputs.publish(result)
+
+    def _report(self, loss: Loss) -> None:
+        self._statistics.counts["worker_restarts" if loss.worker else "windows_failed"] += 1
+        self.get_logger().error(loss.reason)
+        if loss.task is not None and self._is_current(loss.task):
+            self._outputs.publish_failed(loss.task, loss.reason)
+
+    def _is_current(self, task: Task) -> bool:
+        """Whether the task is of this run of event time and the topics are there."""
+        return self._supervisor is not None and task.epoch == self._epoch
 
     def _publish_diagnostics(self) -> None:
         report = self._statistics.report(self._settings.node.input.silence_s)

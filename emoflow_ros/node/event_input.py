@@ -14,7 +14,7 @@ from emoflow_ros.core.windows import (
     WindowSlicer,
 )
 from emoflow_ros.node.statistics import Statistics
-from emoflow_ros.node.supervisor import Task
+from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 
 # A step back in time of less than this is disorder, more is another run of the recording.

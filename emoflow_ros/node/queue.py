@@ -19,12 +19,15 @@ class DropOldestQueue[T]:
     def __len__(self) -> int:
         return len(self._items)
 
-    def put(self, item: T) -> None:
-        """Append an item; `dropped` counts what had to make room for it."""
+    def put(self, item: T) -> T | None:
+        """Append an item; return, and count as `dropped`, the one that had to make room."""
         with self._changed:
-            self.dropped += len(self._items) == self._items.maxlen
+            full = len(self._items) == self._items.maxlen
+            oldest = self._items.popleft() if full else None
+            self.dropped += full
             self._items.append(item)
             self._changed.notify()
+        return oldest
 
     def get(self, timeout: float) -> T | None:
         """Remove the oldest item, or return None when none came within `timeout` seconds."""

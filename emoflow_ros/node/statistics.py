@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.node.supervisor import Result
+from emoflow_ros.node.tasks import Result
 
 _LATENCIES_KEPT = 200
 _WARNINGS = {

@@ -6,18 +6,16 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from multiprocessing.process import BaseProcess
 from typing import Any
-
-from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.windows import Window
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.queue import DropOldestQueue
+from emoflow_ros.node.tasks import Loss, Outcome, Result, Task
 from emoflow_ros.node.worker import serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
@@ -25,56 +23,6 @@ FACTORY = "emoflow_ros.core.factory:make_estimator"
 _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0
 _START_S = 120.0  # the first start on a machine compiles
-
-
-@dataclass(frozen=True)
-class Task:
-    """A window on its way through the worker.
-
-    Attributes:
-        window: what to estimate.
-        epoch: which run of event time it belongs to; a jump back starts the next one.
-        time_offset: ROS time minus event time, ns.
-        frame_id: the camera's optical frame.
-        received: monotonic time in s at which the window was complete.
-    """
-
-    window: Window
-    epoch: int
-    time_offset: int
-    frame_id: str
-    received: float
-
-
-@dataclass(frozen=True)
-class Result:
-    """A task's answer: the estimate without its samplers, and the flow if it was asked for.
-
-    Attributes:
-        task: what was asked.
-        estimate: `flow` and `motion` are None.
-        flow: (height, width, 2) px/s at the estimate's time `t`, NaN = none.
-    """
-
-    task: Task
-    estimate: Estimate
-    flow: NDArray[Any] | None
-
-
-@dataclass(frozen=True)
-class Loss:
-    """A window that has no result, and maybe its worker with it.
-
-    Attributes:
-        reason: one line.
-        worker: whether the worker was lost and is started again.
-    """
-
-    reason: str
-    worker: bool
-
-
-type Outcome = Result | Loss
 
 
 class WorkerDiedError(Exception):
@@ -119,6 +67,7 @@ class Supervisor:
         self._setup: tuple[Camera, Config] | None = None
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
+        self._task: Task | None = None
         self._process: BaseProcess | None = None
         self._channel: Channel | None = None
         self._stopping = threading.Event()
@@ -172,7 +121,7 @@ class Supervisor:
         if self._setup is None:
             self._stopping.wait(_IDLE_S)
             return False
-        task = self.queue.get(_IDLE_S)
+        task = self._task = self.queue.get(_IDLE_S)
         if task is None:
             self._check_idle_worker()
             return False
@@ -192,7 +141,7 @@ class Supervisor:
             {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
         )
         if "error" in header:
-            self._on_outcome(Loss(f"a window failed: {header['error']}", worker=False))
+            self._on_outcome(Loss(f"a window failed: {header['error']}", worker=False, task=task))
         else:
             self._on_outcome(_unpack(task, header, arrays))
         return True
@@ -261,7 +210,8 @@ class Supervisor:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
-        self._on_outcome(Loss(f"{reason}; it is started again", worker=True))
+        self._on_outcome(Loss(f"{reason}; it is started again", worker=True, task=self._task))
+        self._task = None
 
     def _kill(self) -> None:
         process = self._process

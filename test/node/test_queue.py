@@ -6,8 +6,7 @@ from emoflow_ros.node.queue import DropOldestQueue
 
 def test_full_queue_drops_the_oldest_and_counts() -> None:
     queue = DropOldestQueue[int](3)
-    for item in range(5):
-        queue.put(item)
+    assert [queue.put(item) for item in range(5)] == [None, None, None, 0, 1]
     assert queue.dropped == 2
     assert [queue.get(0) for _ in range(4)] == [2, 3, 4, None]
 

@@ -7,7 +7,7 @@ from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.statistics import Level, Statistics
-from emoflow_ros.node.supervisor import Result, Task
+from emoflow_ros.node.tasks import Result, Task
 
 
 class Clock:

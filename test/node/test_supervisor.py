@@ -12,7 +12,8 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
-from emoflow_ros.node.supervisor import Loss, Outcome, Result, Supervisor, Task
+from emoflow_ros.node.supervisor import Supervisor
+from emoflow_ros.node.tasks import Loss, Outcome, Result, Task
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 WAIT_S = 30.0

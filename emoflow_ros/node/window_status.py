@@ -1,0 +1,67 @@
+"""The verdict on one window, whether it gave an estimate or not."""
+
+from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.node.statistics import Level, Report
+from emoflow_ros.node.tasks import Result, Task
+
+_LEVELS = {
+    Status.OK: Level.OK,
+    Status.TOO_FEW_EVENTS: Level.WARN,
+    Status.NO_MOTION: Level.WARN,
+    Status.DIVERGED: Level.ERROR,
+}
+
+
+def judge_result(result: Result, now: int) -> Report:
+    """Judge a window that the worker answered.
+
+    Args:
+        result: the answer.
+        now: ROS time of publishing, ns.
+    """
+    estimate = result.estimate
+    quality = estimate.quality
+    values = {
+        "model": str(estimate.model),
+        "translation_observable": str(estimate.translation_observable).lower(),
+        "contrast_gain": f"{quality.contrast_gain:.3f}",
+        "residual_px": f"{quality.residual_px:.3f}",
+        "inlier_fraction": f"{quality.inlier_fraction:.3f}",
+        "iterations": str(quality.iterations),
+        "stop_reason": quality.stop_reason,
+        "runtime_ms": f"{1e3 * quality.runtime_s:.1f}",
+    }
+    common = _common(result.stamp, now, str(estimate.status), quality.events)
+    return Report(_LEVELS[estimate.status], _message(estimate), common | values)
+
+
+def judge_dropped(task: Task, now: int) -> Report:
+    """Judge a window that had to make room for newer ones; `now` is ROS time, ns."""
+    reason = "dropped: the estimation is slower than the events"
+    return Report(Level.WARN, reason, _lost(task, now, "dropped"))
+
+
+def judge_failed(task: Task, reason: str, now: int) -> Report:
+    """Judge a window that the worker failed at for this reason; `now` is ROS time, ns."""
+    return Report(Level.ERROR, reason, _lost(task, now, "failed"))
+
+
+def _message(estimate: Estimate) -> str:
+    if estimate.status is Status.OK and not estimate.translation_observable:
+        return f"{estimate.status}, translation not observable"
+    return str(estimate.status)
+
+
+def _lost(task: Task, now: int, status: str) -> dict[str, str]:
+    return _common(task.stamp, now, status, len(task.window.events))
+
+
+def _common(stamp: int, now: int, status: str, events: int) -> dict[str, str]:
+    sec, nanosec = divmod(stamp, NS_PER_S)
+    return {
+        "stamp": f"{sec}.{nanosec:09d}",
+        "status": status,
+        "events": str(events),
+        "lag_ms": f"{(now - stamp) / NS_PER_MS:.1f}",
+    }

@@ -1,0 +1,72 @@
+"""The node's further topics over DDS: the status of every window, pictures, sampled twists."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness import MS, Peer, Processes
+
+pytestmark = pytest.mark.dds
+
+
+def listen(peer: Peer, message_type: Any, topic: str) -> list[Any]:
+    """Subscribe, and return the list that the messages come into."""
+    messages: list[Any] = []
+    peer.node.create_subscription(message_type, topic, messages.append, 100)
+    return messages
+
+
+def wait_for_topic(peer: Peer, topic: str) -> None:
+    peer.spin_until(lambda: peer.node.count_publishers(topic), f"{topic} is there")
+
+
+def values(status: DiagnosticStatus) -> dict[str, str]:
+    return {v.key: v.value for v in status.values}
+
+
+@pytest.fixture
+def start(peer: Peer, processes: Processes) -> Callable[..., Any]:
+    def make(estimator: str, *arguments: str) -> Any:
+        node = processes.start_fake(estimator, *arguments)
+        peer.connect()
+        peer.publish_camera()
+        return node
+
+    return make
+
+
+def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
+    """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
+    for t in range(first_ms, last_ms, 5):
+        peer.publish_events(t * MS, x=x)
+
+
+def test_every_window_has_a_status(peer: Peer, start: Callable[..., Any]) -> None:
+    statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
+    start("Dying")
+    wait_for_topic(peer, "/egomotion/status")
+    run_windows(peer, 1000, 1010)
+    run_windows(peer, 1010, 1020, x=7)  # the window that kills the worker
+    run_windows(peer, 1020, 1031)
+    peer.spin_until(lambda: len(statuses) == 3 and len(peer.twists) == 2, "three windows")
+    assert [s.level for s in statuses] == [b"\x00", b"\x02", b"\x00"]
+    assert [values(s)["stamp"] for s in statuses] == ["1.005000000", "1.015000000", "1.025000000"]
+    assert statuses[0].name == "/estimator: window"
+    assert values(statuses[0])["model"] == "full"
+    assert values(statuses[0])["stop_reason"] == "converged"
+    assert float(values(statuses[0])["lag_ms"]) > 0
+    assert "the worker died (signal 9)" in statuses[1].message
+    assert values(statuses[1])["events"] == "10"
+
+
+def test_dropped_windows_have_a_status(peer: Peer, start: Callable[..., Any]) -> None:
+    statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
+    start("Slow", "-p", "input.queue_windows:=2")
+    wait_for_topic(peer, "/egomotion/status")
+    run_windows(peer, 1000, 1201)
+    peer.spin_until(lambda: len(statuses) == 20, "a status for each of 20 windows")
+    kinds = [values(s)["status"] for s in statuses]
+    assert set(kinds) == {"ok", "dropped"}
+    peer.spin_until(lambda: kinds.count("ok") == len(peer.twists), "a twist for each estimate")
+    assert len({values(s)["stamp"] for s in statuses}) == 20

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import Window
+from emoflow_ros.node.statistics import Level
+from emoflow_ros.node.tasks import Result, Task
+from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
+
+NS = 1_000_000_000
+
+
+@pytest.fixture
+def task() -> Task:
+    events = Events(np.zeros(4, np.uint16), np.zeros(4, np.uint16), np.arange(4), np.ones(4, bool))
+    return Task(Window(2 * NS, 3 * NS, events), 0, 100 * NS, "camera", 0.0)
+
+
+def answer(task: Task, status: Status, model: MotionModel = MotionModel.FULL) -> Result:
+    quality = Quality(
+        events=3,
+        iterations=17,
+        stop_reason="converged",
+        contrast_gain=1.25,
+        residual_px=0.5,
+        inlier_fraction=0.875,
+        runtime_s=0.0304,
+    )
+    return Result(task, Estimate(2 * NS, 3 * NS, 2_750_000_000, status, quality, model), None)
+
+
+def test_status_of_an_estimate_holds_its_quality_and_age(task: Task) -> None:
+    report = judge_result(answer(task, Status.OK), now=103 * NS)
+    assert (report.level, report.message) == (Level.OK, "ok")
+    assert report.values == {
+        "stamp": "102.750000000",
+        "status": "ok",
+        "events": "3",
+        "lag_ms": "250.0",
+        "model": "full",
+        "translation_observable": "true",
+        "contrast_gain": "1.250",
+        "residual_px": "0.500",
+        "inlier_fraction": "0.875",
+        "iterations": "17",
+        "stop_reason": "converged",
+        "runtime_ms": "30.4",
+    }
+
+
+def test_pure_rotation_is_named(task: Task) -> None:
+    report = judge_result(answer(task, Status.OK, MotionModel.ROTATION), now=0)
+    assert (report.level, report.message) == (Level.OK, "ok, translation not observable")
+    assert report.values["translation_observable"] == "false"
+
+
+@pytest.mark.parametrize(
+    ("status", "level"),
+    [
+        (Status.OK, Level.OK),
+        (Status.NO_MOTION, Level.WARN),
+        (Status.TOO_FEW_EVENTS, Level.WARN),
+        (Status.DIVERGED, Level.ERROR),
+    ],
+)
+def test_level_follows_the_status(task: Task, status: Status, level: Level) -> None:
+    report = judge_result(answer(task, status), now=0)
+    assert report.level is level
+    assert report.values["status"] == str(status)
+
+
+def test_window_without_an_answer_has_the_stamp_of_its_middle(task: Task) -> None:
+    failed = judge_failed(task, "the worker died (signal 9)", now=103 * NS)
+    assert (failed.level, failed.message) == (Level.ERROR, "the worker died (signal 9)")
+    assert failed.values == {
+        "stamp": "102.500000000",
+        "status": "failed",
+        "events": "4",
+        "lag_ms": "500.0",
+    }
+    dropped = judge_dropped(task, now=103 * NS)
+    assert (dropped.level, dropped.values["status"]) == (Level.WARN, "dropped")
+    assert "slower than the events" in dropped.message
