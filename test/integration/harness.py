@@ -1,5 +1,6 @@
 """The other end of the node in tests: processes under test, and a ROS node that talks to them."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -43,8 +44,11 @@ def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S)
 
 def children(pid: int) -> list[int]:
     """Process ids of the direct children, whichever thread started them."""
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]
+    found: list[int] = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # the thread has ended
+            found += map(int, task.read_text().split())
+    return found
 
 
 class Peer:

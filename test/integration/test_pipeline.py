@@ -50,6 +50,11 @@ def stamps(peer: Peer) -> list[int]:
     return [t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in peer.twists]
 
 
+def image_stamp(peer: Peer) -> int:
+    stamp = peer.images[-1].header.stamp
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
 def start(peer: Peer, processes: Processes, bag: Path) -> None:
     peer.node.destroy_publisher(peer.events)
     processes.start_node(parameters=("input.queue_windows:=50",))  # the machine may be busy
@@ -68,12 +73,23 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     assert all(e.status is Status.OK for e in expected)
     peer.subscribe_flow()
     start(peer, processes, bag)
-    count = len(expected)
     peer.spin_until(
-        lambda: len(peer.images) == len(peer.twists) == count, "twist and flow of all windows", 60.0
+        lambda: (
+            len(peer.images) > 0 and len(peer.twists) > 0 and stamps(peer)[-1] == expected[-1].t
+            and image_stamp(peer) == expected[-1].t
+        ),
+        "twist and flow of the last window",
+        60.0,
+    )  # fmt: skip
+    peer.spin_until(
+        lambda: peer.status().get("windows_ok") == str(len(expected)), "the count of all windows"
     )
+    assert peer.status()["windows_dropped"] == "0"
 
-    # Exactly what the estimator makes of these windows, at the time it holds at.
+    # The node may match this subscriber after its first answer, which then reaches nobody; from
+    # there on nothing is missing, and it is what the estimator makes of these windows.
+    assert len(peer.twists) >= len(expected) - 1
+    expected = expected[-len(peer.twists) :]
     assert stamps(peer) == [e.t for e in expected]
     angular = np.array([list(_xyz(t.twist.angular)) for t in peer.twists])
     linear = np.array([list(_xyz(t.twist.linear)) for t in peer.twists])
@@ -106,7 +122,7 @@ def test_killed_worker_costs_one_window_of_a_running_replay(
     peer.spin_until(lambda: len(peer.twists) >= 4, "some twists", 60.0)
     os.kill(_worker(processes), signal.SIGKILL)
     peer.spin_until(lambda: stamps(peer)[-1] == expected[-1].t, "the last twist", 60.0)
-    assert len(peer.twists) >= len(expected) - 1
+    assert len(peer.twists) >= len(expected) - 2  # the killed one, and one before the match
     peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
     assert peer.status()["windows_dropped"] == "0"
 
