@@ -2,6 +2,7 @@
 
 import array
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -39,17 +40,17 @@ def to_twist_with_covariance(estimate: Estimate, header: Header) -> TwistWithCov
     return message
 
 
-def to_flow_image(flow: NDArray[np.float32], header: Header) -> Image:
-    """Build a 32FC2 image from flow (height, width, 2) in px/s; NaN where there is none."""
-    height, width, _ = flow.shape
+def to_image(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
+    """Build an image from pixels (height, width, ...) that are laid out as the encoding says."""
+    height, width = pixels.shape[:2]
     return Image(
         header=header,
         height=height,
         width=width,
-        encoding="32FC2",
+        encoding=encoding,
         is_bigendian=0,
-        step=8 * width,
-        data=array.array("B", np.ascontiguousarray(flow, "<f4").tobytes()),
+        step=pixels.nbytes // height,
+        data=array.array("B", pixels.tobytes()),
     )
 
 

@@ -98,7 +98,7 @@ class EstimatorNode(LifecycleNode):
         path = options.camera.calibration_file
         self._camera = load_calibration(Path(path)) if path else None
         self._statistics = Statistics()
-        self._outputs = Outputs(self)
+        self._outputs = Outputs(self, options.output)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "/diagnostics", _DIAGNOSTICS_DEPTH
         )
@@ -205,7 +205,7 @@ class EstimatorNode(LifecycleNode):
             self._supervisor.queue.clear()
             self.get_logger().info("event time went back: the estimation starts anew")
         if tasks:
-            self._supervisor.flow_wanted = self._outputs.flow_wanted
+            self._supervisor.wishes = self._outputs.wishes
         for task in tasks:
             dropped = self._supervisor.queue.put(task)
             if dropped is not None:

@@ -7,8 +7,10 @@ from sensor_msgs.msg import Image
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.node import converters
+from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.node.pictures import ENCODINGS, Picture
 from emoflow_ros.node.statistics import Report
-from emoflow_ros.node.tasks import Result, Task
+from emoflow_ros.node.tasks import Result, Task, Wishes
 from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
 
 _DEPTH = 10
@@ -19,26 +21,33 @@ class Outputs:
 
     Args:
         node: to publish with.
+        options: what to publish.
     """
 
-    def __init__(self, node: LifecycleNode) -> None:
+    def __init__(self, node: LifecycleNode, options: OutputOptions) -> None:
         self._node = node
+        self._options = options
         self._twist = node.create_lifecycle_publisher(TwistStamped, "egomotion/twist", _DEPTH)
         self._twist_with_covariance = node.create_lifecycle_publisher(
             TwistWithCovarianceStamped, "egomotion/twist_with_covariance", _DEPTH
         )
         self._status = node.create_lifecycle_publisher(DiagnosticStatus, "egomotion/status", _DEPTH)
-        self._flow = node.create_lifecycle_publisher(Image, "flow/image", _DEPTH)
+        self._pictures = {
+            picture: node.create_lifecycle_publisher(Image, picture, _DEPTH) for picture in Picture
+        }
 
     def destroy(self) -> None:
         """Take the topics away."""
-        for publisher in (self._twist, self._twist_with_covariance, self._status, self._flow):
+        for publisher in (self._twist, self._twist_with_covariance, self._status):
+            self._node.destroy_lifecycle_publisher(publisher)
+        for publisher in self._pictures.values():
             self._node.destroy_lifecycle_publisher(publisher)
 
     @property
-    def flow_wanted(self) -> bool:
-        """Whether somebody subscribes to the flow."""
-        return self._flow.get_subscription_count() > 0
+    def wishes(self) -> Wishes:
+        """What results are to hold: of the pictures those that somebody subscribes to now."""
+        subscribed = (p for p in Picture if self._pictures[p].get_subscription_count() > 0)
+        return Wishes(tuple(subscribed), self._options.flow_color_max)
 
     def publish(self, result: Result) -> None:
         """Publish a window's status, and its estimate if there is one."""
@@ -49,8 +58,9 @@ class Outputs:
         header = converters.to_header(result.stamp, result.task.frame_id)
         self._twist.publish(converters.to_twist(estimate, header))
         self._twist_with_covariance.publish(converters.to_twist_with_covariance(estimate, header))
-        if result.flow is not None:
-            self._flow.publish(converters.to_flow_image(result.flow, header))
+        for picture, pixels in result.pictures.items():
+            image = converters.to_image(pixels, ENCODINGS[Picture(picture)], header)
+            self._pictures[Picture(picture)].publish(image)
 
     def publish_dropped(self, task: Task) -> None:
         """Publish the status of a window that had to make room."""

@@ -76,6 +76,14 @@ class OutputOptions:
     diagnostics_s: float = option(
         1.0, "time between two diagnostics", unit="s", minimum=0.1, maximum=60.0
     )
+    flow_color_max: float = option(
+        0.0,
+        "flow that `flow/color` shows in full colour, longer flow is darkened; 0 takes the 99th "
+        "percentile of each picture",
+        unit="px/s",
+        minimum=0.0,
+        maximum=1e6,
+    )
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.queue import DropOldestQueue
-from emoflow_ros.node.tasks import Loss, Outcome, Result, Task
+from emoflow_ros.node.tasks import Loss, Outcome, Result, Task, Wishes
 from emoflow_ros.node.worker import serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
@@ -45,7 +45,7 @@ class Supervisor:
     Attributes:
         queue: where tasks are put.
         ready: set once the first worker is warm.
-        flow_wanted: whether results should hold the flow.
+        wishes: what results hold besides the estimate.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Supervisor:
     ) -> None:
         self.queue: DropOldestQueue[Task] = DropOldestQueue(capacity)
         self.ready = threading.Event()
-        self.flow_wanted = False
+        self.wishes = Wishes()
         self._timeout_s = timeout_s
         self._on_outcome = on_outcome
         self._factory = factory
@@ -136,7 +136,7 @@ class Supervisor:
                 "t_start": window.t_start,
                 "t_end": window.t_end,
                 "cold": cold,
-                "flow": self.flow_wanted,
+                "wishes": asdict(self.wishes),
             },
             {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
         )
@@ -228,8 +228,8 @@ def _unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
         status=Status(header["status"]),
         model=MotionModel(header["model"]),
         quality=Quality(**header["quality"]),
-        linear=arrays["linear"],
-        angular=arrays["angular"],
-        covariance=arrays["covariance"],
+        linear=arrays.pop("linear"),
+        angular=arrays.pop("angular"),
+        covariance=arrays.pop("covariance"),
     )
-    return Result(task, estimate, arrays.get("flow"))
+    return Result(task, estimate, pictures=arrays)

@@ -1,12 +1,10 @@
 """What goes to the worker and what comes back, as the rest of the node knows it."""
 
 from dataclasses import dataclass, field
-from typing import Any
-
-from numpy.typing import NDArray
 
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import Window
+from emoflow_ros.node.channel import Arrays
 
 
 @dataclass(frozen=True)
@@ -34,18 +32,31 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Wishes:
+    """What results hold besides the estimate.
+
+    Attributes:
+        pictures: those of `pictures.Picture` that somebody subscribes to.
+        flow_color_max: flow in full colour, px/s; 0 takes the picture's 99th percentile.
+    """
+
+    pictures: tuple[str, ...] = ()
+    flow_color_max: float = 0.0
+
+
+@dataclass(frozen=True)
 class Result:
-    """A task's answer: the estimate without its samplers, and the flow if it was asked for.
+    """A task's answer: the estimate without its samplers, and what was wished for.
 
     Attributes:
         task: what was asked.
         estimate: `flow` and `motion` are None.
-        flow: (height, width, 2) px/s at the estimate's time `t`, NaN = none.
+        pictures: those wished for, by name; none unless the status is OK.
     """
 
     task: Task
     estimate: Estimate
-    flow: NDArray[Any] | None
+    pictures: Arrays = field(default_factory=dict)
 
     @property
     def stamp(self) -> int:

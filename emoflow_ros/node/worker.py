@@ -20,6 +20,8 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.node.channel import Arrays, Channel
+from emoflow_ros.node.pictures import draw
+from emoflow_ros.node.tasks import Wishes
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
@@ -49,6 +51,7 @@ class _Worker:
     def __init__(self, make_estimator: EstimatorFactory) -> None:
         self._make_estimator = make_estimator
         self._estimator: Estimator | None = None
+        self._camera: Camera | None = None
 
     def answer(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
         """Do what a request asks for; errors are an answer, too, and cost a cold start."""
@@ -82,11 +85,12 @@ class _Worker:
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:
         camera = Camera(**header["camera"] | {"distortion": tuple(header["camera"]["distortion"])})
+        self._camera = camera
         self._estimator = self._make_estimator(camera, replace_options(Config(), header["config"]))
         return {}
 
     def _estimate(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
-        if self._estimator is None:
+        if self._estimator is None or self._camera is None:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
@@ -95,7 +99,10 @@ class _Worker:
         if estimate.status is Status.OK and not _is_finite(estimate):
             self._estimator.reset()
             estimate = replace(estimate, status=Status.DIVERGED)
-        return pack_estimate(estimate, flow=header["flow"])
+        answer, values = _pack(estimate)
+        if estimate.status is Status.OK:
+            values |= draw(Wishes(**header["wishes"]), estimate, window, self._camera)
+        return answer, values
 
 
 def _is_finite(estimate: Estimate) -> bool:
@@ -103,8 +110,8 @@ def _is_finite(estimate: Estimate) -> bool:
     return all(np.isfinite(v).all() for v in values)
 
 
-def pack_estimate(estimate: Estimate, *, flow: bool) -> tuple[dict[str, Any], Arrays]:
-    """Turn an estimate into plain data; `flow` asks for the flow in px/s at the time `t`."""
+def _pack(estimate: Estimate) -> tuple[dict[str, Any], Arrays]:
+    """Turn an estimate into plain data, without its samplers."""
     header = {
         "t_start": estimate.t_start,
         "t_end": estimate.t_end,
@@ -118,6 +125,4 @@ def pack_estimate(estimate: Estimate, *, flow: bool) -> tuple[dict[str, Any], Ar
         "angular": np.asarray(estimate.angular, np.float64),
         "covariance": np.asarray(estimate.covariance, np.float64),
     }
-    if flow and estimate.status is Status.OK and estimate.flow is not None:
-        arrays["flow"] = np.asarray(estimate.flow.velocity(estimate.t), np.float32)
     return header, arrays

@@ -3,9 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import MS, Peer, Processes
+from sensor_msgs.msg import Image
+
+from emoflow_ros.offline.flow_color import flow_to_rgb
 
 pytestmark = pytest.mark.dds
 
@@ -70,3 +74,28 @@ def test_dropped_windows_have_a_status(peer: Peer, start: Callable[..., Any]) ->
     assert set(kinds) == {"ok", "dropped"}
     peer.spin_until(lambda: kinds.count("ok") == len(peer.twists), "a twist for each estimate")
     assert len({values(s)["stamp"] for s in statuses}) == 20
+
+
+def test_pictures_are_drawn_for_their_subscribers(peer: Peer, start: Callable[..., Any]) -> None:
+    colors: list[Image] = listen(peer, Image, "/flow/color")
+    sharpened: list[Image] = listen(peer, Image, "/flow/iwe")
+    start("Recorder", "-p", "output.flow_color_max:=4.0", "-p", "camera.frame_id:=my_frame")
+    wait_for_topic(peer, "/flow/iwe")
+    clock = iter(range(1000, 10_000, 5))
+
+    def publish_until_both() -> bool:
+        peer.publish_events(next(clock) * MS, x=9)
+        return bool(colors and sharpened)
+
+    peer.spin_until(publish_until_both, "both pictures")
+    color, iwe = colors[0], sharpened[0]
+    assert (color.encoding, color.width, color.height, color.step) == ("rgb8", 64, 48, 192)
+    assert (iwe.encoding, iwe.width, iwe.height, iwe.step) == ("mono8", 64, 48, 64)
+    assert color.header.frame_id == iwe.header.frame_id == "my_frame"
+    rgb = np.frombuffer(color.data, np.uint8).reshape(48, 64, 3)
+    assert (rgb[:, 0] == 0).all()  # no flow
+    flow = np.tile(np.float32([1, -2]), (48, 63, 1))
+    np.testing.assert_array_equal(rgb[:, 1:], flow_to_rgb(flow, 4.0))
+    grey = np.frombuffer(iwe.data, np.uint8).reshape(48, 64)
+    assert grey[0, 9] == 255
+    assert np.count_nonzero(grey) == 1

@@ -52,6 +52,10 @@ class Shift:
         flow[:, 0] = np.nan
         return flow
 
+    def tracks(self, points: np.ndarray, times: tuple[int, int]) -> np.ndarray:
+        """Events stay where they are."""
+        return np.stack([points, points])
+
 
 class Poisoned(Recorder):
     """Misbehaves on windows of events in column 7 alone."""

@@ -51,7 +51,7 @@ def test_covariance_says_that_translation_is_not_observable(estimate: Estimate) 
 def test_flow_image_survives_serialisation() -> None:
     flow = np.arange(24, dtype=np.float32).reshape(3, 4, 2)
     flow[1, 2] = np.nan
-    message = converters.to_flow_image(flow, HEADER)
+    message = converters.to_image(flow, "32FC2", HEADER)
     message = deserialize_message(serialize_message(message), Image)
     assert (message.encoding, message.height, message.width) == ("32FC2", 3, 4)
     assert message.step == 4 * 2 * 4

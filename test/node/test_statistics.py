@@ -27,7 +27,7 @@ def result() -> Callable[..., Result]:
     def make(received: float, status: Status = Status.OK) -> Result:
         task = Task(Window(0, 1, Events.empty()), 0, 0, "", received)
         quality = Quality(events=1, iterations=17, stop_reason="converged")
-        return Result(task, Estimate(0, 1, 0, status, quality), None)
+        return Result(task, Estimate(0, 1, 0, status, quality))
 
     return make
 

@@ -12,8 +12,10 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
+from emoflow_ros.node.pictures import Picture
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Loss, Outcome, Result, Task
+from emoflow_ros.node.tasks import Loss, Outcome, Result, Task, Wishes
+from emoflow_ros.offline.flow_color import flow_to_rgb
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 WAIT_S = 30.0
@@ -89,18 +91,24 @@ def test_windows_wait_until_the_camera_is_known(bench: Callable[..., Bench]) -> 
     assert b.result().estimate.quality.events == 5
 
 
-def test_flow_comes_only_when_wanted(bench: Callable[..., Bench]) -> None:
+def test_pictures_come_only_when_wished_for(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
     b.supervisor.configure(CAMERA, Config())
     b.put()
-    assert b.result().flow is None
-    b.supervisor.flow_wanted = True
+    assert b.result().pictures == {}
+    b.supervisor.wishes = Wishes((Picture.FLOW,))
     b.put()
-    flow = b.result().flow
-    assert flow is not None
+    [flow] = b.result().pictures.values()
     assert flow.shape == (24, 32, 2)
     assert np.isnan(flow[:, 0]).all()
     np.testing.assert_array_equal(flow[5, 1], [1, -2])
+    b.supervisor.wishes = Wishes((Picture.COLOR, Picture.EVENTS), flow_color_max=100.0)
+    b.put(x=3)
+    pictures = b.result().pictures
+    assert set(pictures) == {Picture.COLOR, Picture.EVENTS}
+    np.testing.assert_array_equal(pictures[Picture.COLOR], flow_to_rgb(flow, 100.0))
+    assert pictures[Picture.EVENTS][0, 3] == 255
+    assert np.count_nonzero(pictures[Picture.EVENTS]) == 1
 
 
 def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:

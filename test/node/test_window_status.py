@@ -27,7 +27,7 @@ def answer(task: Task, status: Status, model: MotionModel = MotionModel.FULL) ->
         inlier_fraction=0.875,
         runtime_s=0.0304,
     )
-    return Result(task, Estimate(2 * NS, 3 * NS, 2_750_000_000, status, quality, model), None)
+    return Result(task, Estimate(2 * NS, 3 * NS, 2_750_000_000, status, quality, model))
 
 
 def test_status_of_an_estimate_holds_its_quality_and_age(task: Task) -> None:
