@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core import kernels
+from emoflow_ros.core import assembly, kernels
 from emoflow_ros.core.lattice import Lattice
 
 _DENSITY_CELL = 4  # px: density is counted in cells of this size ...
@@ -140,7 +140,7 @@ class Contrast:
             self.image, self.scale, self.lattice.per_px, _STIFFNESS_STRIDE,
             self._gradient, self._curvature,
         )  # fmt: skip
-        kernels.gather_cells(self._gradient, self._curvature, self._area, vector, band)
+        assembly.gather_cells(self._gradient, self._curvature, self._area, vector, band)
         return contrast
 
 

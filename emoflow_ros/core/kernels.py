@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 
 MARGIN = 12  # px of the sensor around the image of warped events
 
@@ -247,99 +246,3 @@ def pull(
             for d in range(3):
                 for b in range(8):
                     cell[a, d, b] += n * stiff[d, b]
-
-
-@numba.njit(cache=True, nogil=True)
-def gather_cells(gradient: F32, curvature: F32, factor: float, vector: F64, band: F64) -> None:
-    """Add the cells' gradients and curvatures to the lattice's vector and band matrix.
-
-    Args:
-        gradient, curvature: as `pull` fills them; multiplied by `factor`.
-        vector: (n,), n = columns * rows * times * 2.
-        band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
-    """
-    cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
-    rows, times = cells_y + 1, cells_t + 1
-    offset = np.empty(8, np.int64)
-    for c in range(cells_x):
-        for r in range(cells_y):
-            for q in range(cells_t):
-                for a in range(8):
-                    column, row, time = c + (a >> 2), r + ((a >> 1) & 1), q + (a & 1)
-                    offset[a] = 2 * ((column * rows + row) * times + time)
-                g = gradient[c, r, q]
-                h = curvature[c, r, q]
-                for a in range(8):
-                    i = offset[a]
-                    vector[i] += factor * g[0, a]
-                    vector[i + 1] += factor * g[1, a]
-                    for b in range(a + 1):  # offsets grow with the node: the lower triangle
-                        j = offset[b]
-                        d = i - j
-                        cross = factor * h[a, 1, b]
-                        band[j, d] += factor * h[a, 0, b]
-                        band[j + 1, d] += factor * h[a, 2, b]
-                        band[j, d + 1] += cross
-                        if b < a:
-                            band[j + 1, d - 1] += cross
-
-
-@numba.njit(cache=True, nogil=True)
-def add_stencil(
-    flow: F64, nodes: NDArray[np.int64], coefficients: F64, weight: float, limit: float,
-    vector: F64, band: F64,
-) -> None:  # fmt: skip
-    """Add a robust penalty on linear combinations of neighbouring nodes.
-
-    Charbonnier: weight * T limit^2 * sqrt(1 + |z|^2 / (T limit^2)) with z the combination of
-    the flow's (u, v) over all T times, linearised as in iteratively reweighted least squares.
-
-    Args:
-        flow: (nodes, times, 2).
-        nodes: (M, K) indices of the nodes in each combination.
-        coefficients: (K,).
-        weight: stiffness of small differences.
-        limit: px per window, above which a difference counts as an edge.
-        vector, band: as in `gather_cells`; the vector gets the negative gradient.
-    """
-    times = flow.shape[1]
-    z = np.empty((times, 2))
-    for n in range(len(nodes)):
-        z[:] = 0.0
-        for k in range(nodes.shape[1]):
-            for q in range(times):
-                for d in range(2):
-                    z[q, d] += coefficients[k] * flow[nodes[n, k], q, d]
-        stiffness = weight / np.sqrt(1 + (z * z).sum() / (times * limit * limit))
-        for k in range(nodes.shape[1]):
-            for q in range(times):
-                for d in range(2):
-                    i = (nodes[n, k] * times + q) * 2 + d
-                    vector[i] -= stiffness * coefficients[k] * z[q, d]
-                    for m in range(k + 1):
-                        j = (nodes[n, m] * times + q) * 2 + d
-                        pair = stiffness * coefficients[k] * coefficients[m]
-                        if i >= j:
-                            band[j, i - j] += pair
-                        else:
-                            band[i, j - i] += pair
-
-
-@numba.njit(cache=True, nogil=True)
-def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) -> None:
-    """Add a quadratic penalty on the flow's change from one time node to the next.
-
-    Args:
-        flow: (nodes, times, 2); weight, vector, band as in `add_stencil`.
-    """
-    nodes, times, _ = flow.shape
-    for n in range(nodes):
-        for q in range(times - 1):
-            for d in range(2):
-                j = (n * times + q) * 2 + d
-                change = weight * (flow[n, q + 1, d] - flow[n, q, d])
-                vector[j] += change
-                vector[j + 2] -= change
-                band[j, 0] += weight
-                band[j + 2, 0] += weight
-                band[j, 2] -= weight

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from emoflow_ros.core import kernels
+from emoflow_ros.core import assembly
 
 _MOST_NODES = 18
 _SUBSTEPS = 4  # midpoint steps per window of the dense products; error below 1e-3 px
@@ -169,12 +169,12 @@ class Lattice:
             weight: of second differences in space.
             edge: px per window, above which a second difference counts as an edge.
             in_time: weight of differences in time.
-            vector, band: right-hand side and matrix, added to (kernels.gather_cells).
+            vector, band: right-hand side and matrix, added to (assembly.gather_cells).
         """
         values = flow.reshape(-1, self.times, 2).astype(np.float64)
         for nodes, coefficients in self.second_differences:
-            kernels.add_stencil(values, nodes, coefficients, weight, edge, vector, band)
-        kernels.add_differences_in_time(values, in_time, vector, band)
+            assembly.add_stencil(values, nodes, coefficients, weight, edge, vector, band)
+        assembly.add_differences_in_time(values, in_time, vector, band)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import TO_MIDDLE, FreeFlow, LatticeFit, MotionPrior
+from emoflow_ros.core.preparation import prepare
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.structure import Structure
@@ -22,8 +23,6 @@ from emoflow_ros.core.windows import NS_PER_S, Window
 
 Array = NDArray[np.float64]
 
-_SHORTEST_SPREAD = 0.1  # windows between the first and last tenth of the events
-_FEWEST_BLOCKS = 16  # of 8 x 8 pixels that hold events
 _COARSE_EVENTS = 10_000  # are enough at reduced resolution
 _SEARCH_EVENTS = 6_000
 _SEARCH_REACH_PX = 48.0
@@ -78,7 +77,7 @@ class LatticeEstimator:
     def _estimate(self, window: Window) -> Estimate:
         self._started = time.perf_counter()
         self._iterations = 0
-        events = self._prepare(window)
+        events = prepare(window, self.camera, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
         last = self._last
@@ -102,31 +101,6 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         return result
-
-    def _prepare(self, window: Window) -> WindowEvents | None:
-        """Take the window's events, thinned evenly to max_events.
-
-        None if they are too few, or one burst without the time that motion needs, or all
-        on a few pixels without the place that it needs.
-        """
-        events = window.events
-        inside = events.inside(self.camera.width, self.camera.height)
-        if not inside.all():
-            events = events[inside]
-        if len(events) < self.config.min_events:
-            return None
-        if len(events) > self.config.max_events:
-            events = events[
-                np.arange(self.config.max_events) * len(events) // self.config.max_events
-            ]
-        s = ((events.t - window.t_start) / (window.t_end - window.t_start)).astype(np.float32)
-        early, late = np.quantile(s, (0.1, 0.9))
-        blocks = np.bincount((events.y >> 3).astype(np.intp) * self.camera.width + (events.x >> 3))
-        if late - early < _SHORTEST_SPREAD or np.count_nonzero(blocks) < _FEWEST_BLOCKS:
-            return None
-        return WindowEvents.prepare(
-            events.x.astype(np.float32), events.y.astype(np.float32), s, events.p
-        )
 
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""
