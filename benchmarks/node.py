@@ -52,6 +52,7 @@ START = 1_500_000_000 * NS_PER_S
 LONGEST_SIMULATED_S = 10.0
 BATCH = 10 * NS_PER_MS
 CAMERA_INFO_PERIOD = 50 * NS_PER_MS
+LEAD_IN = 2 * NS_PER_S  # calibration alone, so that the observer, too, hears the first events
 EVENTS = "/davis/left/events"
 DOMAIN = "87"
 WARM_UP_WINDOWS = 3  # the first one is cold, the next ones meet what it leaves behind
@@ -161,7 +162,7 @@ class RepeatedRecording:
     def topics(self, encoder: MessageEncoder) -> list[Topic]:
         """List what the node needs: events and calibration."""
         camera = self._recording.camera
-        infos = range(self._recording.t_start, self._end, CAMERA_INFO_PERIOD)
+        infos = range(self._recording.t_start - LEAD_IN, self._end, CAMERA_INFO_PERIOD)
 
         def encode_events(end: int) -> bytes:
             return encoder.events(end - BATCH, camera, self.batch(end))
