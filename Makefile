@@ -30,7 +30,7 @@ test: messages lint  ## lint, types and all tests but the long ones
 	@$(ENV)
 	python -m pytest -m "not soak" $(PYTEST_ARGS)
 
-bench: setup  ## all of benchmarks/
+bench: messages  ## all of benchmarks/
 	@$(ENV)
 	for benchmark in benchmarks/[a-z]*.py; do
 		echo "== $$benchmark"
