@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -20,7 +21,8 @@ from emoflow_ros.core.options import OptionInfo, option, options_of, replace_opt
 from emoflow_ros.errors import InputError
 
 _INT64_MAX = 2**63 - 1
-_ONLY_AT_START = ("autostart", "profile")
+_ONLY_AT_START = ("autostart", "profile", "method")
+_CONNECTIONS = ("input.", "camera.", "output.")
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -122,13 +124,23 @@ def table(settings: Settings) -> Iterable[OptionInfo]:
     yield from options_of(settings.config)
 
 
-def is_dynamic(name: str) -> bool:
-    """Whether a parameter may change while the node is configured.
+class Change(StrEnum):
+    """When a parameter may change."""
+
+    ANY_TIME = "any time"
+    UNCONFIGURED = "unconfigured"
+    AT_START = "at start"
+
+
+def changes(name: str) -> Change:
+    """Tell when a parameter may change.
 
     How windows are cut and estimated takes effect with the next window; the rest decides what
     the node connects to when it is configured.
     """
-    return name not in _ONLY_AT_START and not name.startswith(("input.", "camera.", "output."))
+    if name in _ONLY_AT_START:
+        return Change.AT_START
+    return Change.UNCONFIGURED if name.startswith(_CONNECTIONS) else Change.ANY_TIME
 
 
 class NodeParameters:
@@ -158,7 +170,8 @@ class NodeParameters:
             for name, parameter in node._parameter_overrides.items()
             if not name.startswith(_FOREIGN)
         }
-        config = load_config(str(given.get("profile", Config().profile)))
+        method = {"method": given["method"]} if "method" in given else {}
+        config = load_config(str(given.get("profile", Config.profile)), method)
         self.settings = Settings(NodeOptions(), config).changed(given)
         for info in table(self.settings):
             node.declare_parameter(info.name, info.value, _descriptor(info), ignore_override=True)
@@ -169,7 +182,7 @@ class NodeParameters:
         values = {p.name: p.value for p in parameters if p.name in self._names}
         if not values:
             return SetParametersResult(successful=True)
-        fixed = [name for name in values if not is_dynamic(name)]
+        fixed = [name for name in values if changes(name) is not Change.ANY_TIME]
         if fixed and self._is_configured():
             reason = f"{fixed[0]}: only changes while the node is unconfigured"
             return SetParametersResult(successful=False, reason=reason)
@@ -187,7 +200,7 @@ def _descriptor(info: OptionInfo) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=info.description + unit,
         additional_constraints=f"one of {', '.join(info.choices)}" if info.choices else "",
-        read_only=info.name in _ONLY_AT_START,
+        read_only=changes(info.name) is Change.AT_START,
     )
     if isinstance(info.value, float):
         low = -math.inf if info.minimum is None else float(info.minimum)

@@ -11,10 +11,11 @@ from rclpy.parameter import Parameter  # noqa: E402
 from emoflow_ros.core.config import Config, load_config  # noqa: E402
 from emoflow_ros.errors import InputError  # noqa: E402
 from emoflow_ros.node.parameters import (  # noqa: E402
+    Change,
     NodeOptions,
     NodeParameters,
     Settings,
-    is_dynamic,
+    changes,
     table,
 )
 
@@ -126,7 +127,9 @@ def test_bad_change_is_refused_with_the_reason(
     assert changes == []
 
 
-@pytest.mark.parametrize(("name", "value"), [("profile", "realtime"), ("autostart", False)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("profile", "realtime"), ("autostart", False), ("method", "implicit")]
+)
 def test_what_only_counts_at_the_start_cannot_change(
     make_node: Callable[..., Any], name: str, value: Any
 ) -> None:
@@ -143,8 +146,26 @@ def test_unknown_parameter_cannot_be_set(make_node: Callable[..., Any]) -> None:
         node.set_parameters([Parameter("window.duration", value=1.0)])
 
 
-def test_what_the_node_connects_to_is_not_dynamic() -> None:
-    settings = Settings(NodeOptions(), Config())
-    dynamic = {i.name.partition(".")[0] for i in table(settings) if is_dynamic(i.name)}
-    assert {"window", "estimator"} <= dynamic
-    assert dynamic.isdisjoint({"input", "camera", "output", "profile", "autostart"})
+@pytest.mark.parametrize(
+    ("name", "when"),
+    [
+        ("window.duration_ms", Change.ANY_TIME),
+        ("estimator.max_events", Change.ANY_TIME),
+        ("input.type", Change.UNCONFIGURED),
+        ("camera.frame_id", Change.UNCONFIGURED),
+        ("output.timeout_s", Change.UNCONFIGURED),
+        ("profile", Change.AT_START),
+        ("method", Change.AT_START),
+    ],
+)
+def test_what_the_node_connects_to_is_not_dynamic(name: str, when: Change) -> None:
+    assert changes(name) is when
+
+
+def test_method_brings_its_own_options(make_node: Callable[..., Any]) -> None:
+    node = make_node(method="implicit", profile="paper")
+    parameters, _ = declare(node)
+    assert parameters.settings.config.method == "implicit"
+    assert node.has_parameter("estimator.warp.solver")
+    with pytest.raises(InputError, match="unknown 'magic'"):
+        declare(make_node(method="magic"))
