@@ -63,7 +63,10 @@ class Supervisor:
         self._on_outcome = on_outcome
         self._factory = factory
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload([factory.partition(":")[0], serve.__module__])
+        # The factory imports its estimators late; that of the default profile is wanted at once.
+        self._context.set_forkserver_preload(
+            [factory.partition(":")[0], "emoflow_ros.core.lattice_estimator", serve.__module__]
+        )
         self._setup: tuple[Camera, Config] | None = None
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
