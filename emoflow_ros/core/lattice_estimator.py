@@ -217,16 +217,19 @@ class LatticeEstimator:
             costs = costs + max(0.0, 1 - doubt) * prior.surprise(directions)
         best = int(costs.argmin())
         before = self._selector.model
-        switch = costs[best] < (1.0 if before is MotionModel.ROTATION else _SWITCH) * cost
+        rotates = before is MotionModel.ROTATION  # whose v is but a guess, held ready
+        switch = costs[best] < (1.0 if rotates else _SWITCH) * cost
         if switch:
             v = directions[best]
             present = v if v @ present >= 0 else -v
             w = rotations[best]
-            if before is not MotionModel.ROTATION:  # where v means nothing
-                self._selector = ModelSelector()
+        if switch and not rotates:
             fit.motion = Motion.constant(w, present)
+            self._selector = ModelSelector()
         after = self._select(free, present, w)
-        return after is not before or (switch and after is not MotionModel.ROTATION)
+        if rotates and after is MotionModel.FULL:
+            fit.motion = Motion.constant(w, present)
+        return after is not before or (switch and not rotates)
 
     def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
         before = self._selector.model
@@ -246,7 +249,7 @@ class LatticeEstimator:
         fit = self._fit
         assert fit.motion is not None
         full = self._selector.model is MotionModel.FULL
-        front = np.sign(self._selector.agreement) if full else 0.0
+        front = np.copysign(1.0, self._selector.agreement) if full else 0.0
         w, v = fit.motion.at(0.5)
         unit = np.repeat([window.duration, 1.0], 3)
         middle = (window.t_start + window.t_end) // 2
