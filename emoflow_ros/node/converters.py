@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from emoflow_ros.core import twist as core
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.node.statistics import Report
 
@@ -24,19 +24,21 @@ def to_header(stamp: int, frame_id: str) -> Header:
     return Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
 
 
-def to_twist(estimate: Estimate, header: Header) -> TwistStamped:
-    """Build the twist: linear is a unit direction or zero, angular is in rad/s."""
-    return TwistStamped(header=header, twist=_twist(estimate))
+def to_twist(twist: core.Twist, header: Header) -> TwistStamped:
+    """Build the twist; the angular velocity is in rad/s."""
+    return TwistStamped(header=header, twist=_twist(twist))
 
 
-def to_twist_with_covariance(estimate: Estimate, header: Header) -> TwistWithCovarianceStamped:
+def to_twist_with_covariance(
+    twist: core.Twist, covariance: NDArray[np.float64], header: Header
+) -> TwistWithCovarianceStamped:
     """Build the twist with its covariance, row-major over (linear, angular).
 
     covariance[0] is -1 where translation is not observable.
     """
     message = TwistWithCovarianceStamped(header=header)
-    message.twist.twist = _twist(estimate)
-    message.twist.covariance = np.asarray(estimate.covariance, np.float64).ravel()
+    message.twist.twist = _twist(twist)
+    message.twist.covariance = np.asarray(covariance, np.float64).ravel()
     return message
 
 
@@ -82,8 +84,8 @@ def to_camera(info: CameraInfo) -> Camera:
     )
 
 
-def _twist(estimate: Estimate) -> Twist:
-    return Twist(linear=_vector(estimate.linear), angular=_vector(estimate.angular))
+def _twist(twist: core.Twist) -> Twist:
+    return Twist(linear=_vector(twist.linear), angular=_vector(twist.angular))
 
 
 def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector3:

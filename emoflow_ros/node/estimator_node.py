@@ -188,6 +188,7 @@ class EstimatorNode(LifecycleNode):
             frame_id=settings.node.camera.frame_id,
             statistics=self._statistics,
             warn=lambda line: self.get_logger().warning(line, throttle_duration_sec=_THROTTLE_S),
+            epoch=self._epoch + 1,
         )
         self._input.camera = self._camera
         self._epoch = self._input.epoch
@@ -245,7 +246,7 @@ class EstimatorNode(LifecycleNode):
     def _publish(self, result: Result) -> None:
         if self._is_current(result.task):
             self._statistics.add_result(result)
-            self._outputs.publish(result)
+            self._outputs.publish(result, self._settings.node.scale)
 
     def _report(self, loss: Loss) -> None:
         self._statistics.counts["worker_restarts" if loss.worker else "windows_failed"] += 1

@@ -31,10 +31,12 @@ class EventInput:
         frame_id: the camera's frame; empty takes that of the messages.
         statistics: counts what comes and what is lost.
         warn: says what is wrong with the messages; called for each of them.
+        epoch: number of the first run of event time.
 
     Attributes:
         camera: whose events are expected; None expects any.
-        epoch: runs of event time so far; a jump back, as in a bag that loops, starts the next.
+        epoch: number of the run of event time; a jump back, as in a bag that loops, starts the
+            next.
 
     Raises:
         DecodeError: there is no decoder for the type.
@@ -49,9 +51,10 @@ class EventInput:
         frame_id: str,
         statistics: Statistics,
         warn: Callable[[str], None],
+        epoch: int = 0,
     ) -> None:
         self.camera: Camera | None = None
-        self.epoch = 0
+        self.epoch = epoch
         self._decoder = make_decoder(ros_type, "cdr")
         self._slicer = WindowSlicer(policy)
         self._frame_id = frame_id

@@ -6,8 +6,9 @@ from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image
 
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.twist import at_middle, covariance_at_speed
 from emoflow_ros.node import converters
-from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.node.parameters import OutputOptions, ScaleOptions
 from emoflow_ros.node.pictures import ENCODINGS, Picture
 from emoflow_ros.node.statistics import Report
 from emoflow_ros.node.tasks import Result, Task, Wishes
@@ -27,6 +28,7 @@ class Outputs:
     def __init__(self, node: LifecycleNode, options: OutputOptions) -> None:
         self._node = node
         self._options = options
+        self._last_twist = (-1, 0)  # epoch and stamp
         self._twist = node.create_lifecycle_publisher(TwistStamped, "egomotion/twist", _DEPTH)
         self._twist_with_covariance = node.create_lifecycle_publisher(
             TwistWithCovarianceStamped, "egomotion/twist_with_covariance", _DEPTH
@@ -47,17 +49,21 @@ class Outputs:
     def wishes(self) -> Wishes:
         """What results are to hold: of the pictures those that somebody subscribes to now."""
         subscribed = (p for p in Picture if self._pictures[p].get_subscription_count() > 0)
-        return Wishes(tuple(subscribed), self._options.flow_color_max)
+        return Wishes(tuple(subscribed), self._options.flow_color_max, self._options.twist_rate)
 
-    def publish(self, result: Result) -> None:
-        """Publish a window's status, and its estimate if there is one."""
+    def publish(self, result: Result, scale: ScaleOptions) -> None:
+        """Publish a window's status, and its estimate, at this scale, if there is one."""
         self._publish_status(judge_result(result, self._now()))
         estimate = result.estimate
         if estimate.status is not Status.OK:
             return
+        self._publish_twists(result, scale.factor)
         header = converters.to_header(result.stamp, result.task.frame_id)
-        self._twist.publish(converters.to_twist(estimate, header))
-        self._twist_with_covariance.publish(converters.to_twist_with_covariance(estimate, header))
+        middle = at_middle(estimate).at_speed(scale.factor)
+        covariance = covariance_at_speed(estimate.covariance, scale.factor)
+        self._twist_with_covariance.publish(
+            converters.to_twist_with_covariance(middle, covariance, header)
+        )
         for picture, pixels in result.pictures.items():
             image = converters.to_image(pixels, ENCODINGS[Picture(picture)], header)
             self._pictures[Picture(picture)].publish(image)
@@ -69,6 +75,16 @@ class Outputs:
     def publish_failed(self, task: Task, reason: str) -> None:
         """Publish the status of a window that the worker failed at."""
         self._publish_status(judge_failed(task, reason, self._now()))
+
+    def _publish_twists(self, result: Result, factor: float) -> None:
+        """Publish twists with stamps that increase, also where the clocks' offset is corrected."""
+        task = result.task
+        for twist in result.twists:
+            stamp = task.to_ros(twist.t)
+            if (task.epoch, stamp) > self._last_twist:
+                self._last_twist = (task.epoch, stamp)
+                header = converters.to_header(stamp, task.frame_id)
+                self._twist.publish(converters.to_twist(twist.at_speed(factor), header))
 
     def _publish_status(self, report: Report) -> None:
         name = self._node.get_fully_qualified_name()

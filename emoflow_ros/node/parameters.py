@@ -86,6 +86,37 @@ class OutputOptions:
         minimum=0.0,
         maximum=1e6,
     )
+    twist_rate: float = option(
+        0.0,
+        "twists per second on `egomotion/twist`, from the spline inside the windows; 0 gives one "
+        "per window, at its middle",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """How fast the camera travels, which its events do not show."""
+
+    source: str = option(
+        "none",
+        "scale of the linear velocity: none gives a unit direction, parameter that of scale.speed",
+        choices=("none", "parameter"),
+    )
+    speed: float = option(
+        1.0,
+        "speed of the camera, taken as exact, if scale.source is parameter",
+        unit="m/s",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+
+    @property
+    def factor(self) -> float:
+        """What the unit direction is multiplied by."""
+        return self.speed if self.source == "parameter" else 1.0
 
 
 @dataclass(frozen=True)
@@ -96,6 +127,7 @@ class NodeOptions:
     input: InputOptions = field(default_factory=InputOptions)
     camera: CameraOptions = field(default_factory=CameraOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
+    scale: ScaleOptions = field(default_factory=ScaleOptions)
 
 
 @dataclass(frozen=True)

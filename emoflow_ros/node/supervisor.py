@@ -13,6 +13,8 @@ from typing import Any
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.twist import Twist, grid_times
+from emoflow_ros.core.windows import Window
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.queue import DropOldestQueue
 from emoflow_ros.node.tasks import Loss, Outcome, Result, Task, Wishes
@@ -71,6 +73,7 @@ class Supervisor:
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
         self._task: Task | None = None
+        self._last_twist = -1
         self._process: BaseProcess | None = None
         self._channel: Channel | None = None
         self._stopping = threading.Event()
@@ -131,23 +134,35 @@ class Supervisor:
         if self._setup != self._configured:
             self._configure(*self._setup)
         cold = task.epoch != self._epoch
+        if cold:
+            self._last_twist = -1
         self._epoch = task.epoch
-        window = task.window
+        window, wishes = task.window, self.wishes
         header, arrays = self._request(
             {
                 "kind": "window",
                 "t_start": window.t_start,
                 "t_end": window.t_end,
                 "cold": cold,
-                "wishes": asdict(self.wishes),
+                "wishes": asdict(wishes),
+                "times": self._twist_times(window, wishes.twist_rate),
             },
             {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
         )
         if "error" in header:
             self._on_outcome(Loss(f"a window failed: {header['error']}", worker=False, task=task))
         else:
-            self._on_outcome(_unpack(task, header, arrays))
+            result = _unpack(task, header, arrays)
+            if result.twists:
+                self._last_twist = result.twists[-1].t
+            self._on_outcome(result)
         return True
+
+    def _twist_times(self, window: Window, rate: float) -> list[int] | None:
+        """Choose the times of a window's twists: None is the middle."""
+        if rate == 0:
+            return None
+        return grid_times(window.t_start, window.t_end, rate, self._last_twist)
 
     def _configure(self, camera: Camera, config: Config) -> None:
         answer, _ = self._request(
@@ -235,4 +250,6 @@ def _unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
         angular=arrays.pop("angular"),
         covariance=arrays.pop("covariance"),
     )
-    return Result(task, estimate, pictures=arrays)
+    rows = zip(header["times"], arrays.pop("twists"), strict=True)
+    twists = tuple(Twist(t, row[:3], row[3:]) for t, row in rows)
+    return Result(task, estimate, twists, pictures=arrays)

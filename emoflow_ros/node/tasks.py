@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.twist import Twist
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.channel import Arrays
 
@@ -28,7 +29,11 @@ class Task:
     @property
     def stamp(self) -> int:
         """ROS time of the window's middle, ns."""
-        return (self.window.t_start + self.window.t_end) // 2 + self.time_offset
+        return self.to_ros((self.window.t_start + self.window.t_end) // 2)
+
+    def to_ros(self, t: int) -> int:
+        """Map an event time of the window to ROS time, ns."""
+        return t + self.time_offset
 
 
 @dataclass(frozen=True)
@@ -38,10 +43,12 @@ class Wishes:
     Attributes:
         pictures: those of `pictures.Picture` that somebody subscribes to.
         flow_color_max: flow in full colour, px/s; 0 takes the picture's 99th percentile.
+        twist_rate: twists per second of event time; 0: one per window.
     """
 
     pictures: tuple[str, ...] = ()
     flow_color_max: float = 0.0
+    twist_rate: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,17 +58,19 @@ class Result:
     Attributes:
         task: what was asked.
         estimate: `flow` and `motion` are None.
+        twists: those wished for, in order of time; none unless the status is OK.
         pictures: those wished for, by name; none unless the status is OK.
     """
 
     task: Task
     estimate: Estimate
+    twists: tuple[Twist, ...] = ()
     pictures: Arrays = field(default_factory=dict)
 
     @property
     def stamp(self) -> int:
         """ROS time that the estimate's values hold at, ns."""
-        return self.estimate.t + self.task.time_offset
+        return self.task.to_ros(self.estimate.t)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.twist import Twist, at_middle, sample
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.pictures import draw
@@ -99,9 +100,12 @@ class _Worker:
         if estimate.status is Status.OK and not _is_finite(estimate):
             self._estimator.reset()
             estimate = replace(estimate, status=Status.DIVERGED)
-        answer, values = _pack(estimate)
-        if estimate.status is Status.OK:
-            values |= draw(Wishes(**header["wishes"]), estimate, window, self._camera)
+        if estimate.status is not Status.OK:
+            return _pack(estimate, [])
+        times = header["times"]
+        twists = [at_middle(estimate)] if times is None else sample(estimate, times)
+        answer, values = _pack(estimate, twists)
+        values |= draw(Wishes(**header["wishes"]), estimate, window, self._camera)
         return answer, values
 
 
@@ -110,8 +114,8 @@ def _is_finite(estimate: Estimate) -> bool:
     return all(np.isfinite(v).all() for v in values)
 
 
-def _pack(estimate: Estimate) -> tuple[dict[str, Any], Arrays]:
-    """Turn an estimate into plain data, without its samplers."""
+def _pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Arrays]:
+    """Turn an estimate, without its samplers, and its twists into plain data."""
     header = {
         "t_start": estimate.t_start,
         "t_end": estimate.t_end,
@@ -119,10 +123,12 @@ def _pack(estimate: Estimate) -> tuple[dict[str, Any], Arrays]:
         "status": estimate.status,
         "model": estimate.model,
         "quality": asdict(estimate.quality),
+        "times": [twist.t for twist in twists],
     }
     arrays: Arrays = {
         "linear": np.asarray(estimate.linear, np.float64),
         "angular": np.asarray(estimate.angular, np.float64),
         "covariance": np.asarray(estimate.covariance, np.float64),
+        "twists": np.array([(*w.linear, *w.angular) for w in twists], np.float64).reshape(-1, 6),
     }
     return header, arrays

@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import MS, Peer, Processes
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import Image
 
 from emoflow_ros.offline.flow_color import flow_to_rgb
@@ -23,6 +27,12 @@ def listen(peer: Peer, message_type: Any, topic: str) -> list[Any]:
 
 def wait_for_topic(peer: Peer, topic: str) -> None:
     peer.spin_until(lambda: peer.node.count_publishers(topic), f"{topic} is there")
+
+
+def stamp(message: Any) -> int:
+    """Stamp of a message, ns."""
+    time = message.header.stamp
+    return int(time.sec * 1_000_000_000 + time.nanosec)
 
 
 def values(status: DiagnosticStatus) -> dict[str, str]:
@@ -99,3 +109,49 @@ def test_pictures_are_drawn_for_their_subscribers(peer: Peer, start: Callable[..
     grey = np.frombuffer(iwe.data, np.uint8).reshape(48, 64)
     assert grey[0, 9] == 255
     assert np.count_nonzero(grey) == 1
+
+
+def test_sampled_twists_are_uniform_over_windows(peer: Peer, start: Callable[..., Any]) -> None:
+    start("Recorder", "-p", "output.twist_rate:=500.0")
+    run_windows(peer, 1000, 1031)
+    peer.spin_until(lambda: len(peer.twists) == 15, "five twists in each of three windows")
+    assert [stamp(t) for t in peer.twists] == [(1000 + 2 * k) * MS for k in range(15)]
+    assert [t.twist.angular.x for t in peer.twists[:6]] == [0, 2 * MS, 4 * MS, 6 * MS, 8 * MS, 0]
+    peer.spin_until(lambda: len(peer.covariances) == 3, "one twist with covariance per window")
+    assert [stamp(c) for c in peer.covariances] == [1005 * MS, 1015 * MS, 1025 * MS]
+
+
+def test_speed_gives_the_linear_velocity_and_may_change(
+    peer: Peer, start: Callable[..., Any]
+) -> None:
+    start("Recorder", "-p", "scale.source:=parameter", "-p", "scale.speed:=5.0")
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: peer.twists and peer.covariances, "a window")
+    linear = peer.twists[0].twist.linear
+    np.testing.assert_allclose([linear.x, linear.y, linear.z], [0.0, 3.0, 4.0])
+    assert peer.covariances[0].twist.twist == peer.twists[0].twist
+    expected = np.diag([25.0, 25.0, 25.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(peer.covariances[0].twist.covariance, expected.ravel())
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="none")
+    wish = [Parameter(name="scale.source", value=value)]
+    answer = peer.call(SetParameters, "/estimator/set_parameters", parameters=wish)
+    assert [r.successful for r in answer.results] == [True]
+    run_windows(peer, 1015, 1021)
+    peer.spin_until(lambda: len(peer.twists) == 2, "the next window")
+    assert peer.twists[1].twist.linear.z == 0.8
+
+
+def test_earlier_times_after_a_restart_count_anew(peer: Peer, start: Callable[..., Any]) -> None:
+    start("Recorder", "-p", "output.twist_rate:=500.0")
+    run_windows(peer, 3000, 3011)
+    peer.spin_until(lambda: len(peer.twists) == 5, "a window")
+    wish = Transition(id=Transition.TRANSITION_DEACTIVATE)
+    assert peer.call(ChangeState, "/estimator/change_state", transition=wish).success
+    peer.spin_until(lambda: peer.events.get_subscription_count() == 0, "it listens no more")
+    wish = Transition(id=Transition.TRANSITION_ACTIVATE)
+    assert peer.call(ChangeState, "/estimator/change_state", transition=wish).success
+    peer.spin_until(peer.events.get_subscription_count, "it listens again")
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 10, "an earlier window")
+    assert [stamp(t) for t in peer.twists[5:]] == [(1000 + 2 * k) * MS for k in range(5)]
+    assert peer.covariances[-1].twist.twist.angular.y == 1  # the estimator started cold

@@ -35,10 +35,24 @@ class Recorder:
             angular=np.array([len(window.events), self.windows, self.camera.width], float),
             covariance=np.eye(6),
             flow=Shift(self.camera),
+            motion=SpeedingUp(window.t_start),
         )
 
     def reset(self) -> None:
         self.windows = 0
+
+
+class SpeedingUp:
+    """A motion that turns about x, by as many rad/s as ns have passed in the window."""
+
+    def __init__(self, t_start: int) -> None:
+        self.t_start = t_start
+
+    def angular(self, t: int) -> np.ndarray:
+        return np.array([t - self.t_start, 0, 0], float)
+
+    def linear(self, t: int) -> np.ndarray:
+        return np.array([0.0, 0.6, 0.8])
 
 
 class Shift:

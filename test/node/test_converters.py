@@ -8,7 +8,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.twist import Twist
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
 from emoflow_ros.node.statistics import Level, Report
@@ -17,14 +17,9 @@ HEADER = converters.to_header(1_500_000_000_123_456_789, "camera")
 
 
 @pytest.fixture
-def estimate() -> Estimate:
-    return Estimate(
-        t_start=0,
-        t_end=10,
+def rotation() -> Twist:
+    return Twist(
         t=5,
-        status=Status.OK,
-        quality=Quality(events=3),
-        model=MotionModel.ROTATION,
         linear=np.zeros(3),
         angular=np.array([0.1, -0.2, 0.3]),
     )
@@ -35,15 +30,17 @@ def test_header_splits_nanoseconds() -> None:
     assert converters.to_header(-1, "").stamp == Time(sec=-1, nanosec=999_999_999)
 
 
-def test_twist_of_a_rotation_has_no_direction(estimate: Estimate) -> None:
-    message = converters.to_twist(estimate, HEADER)
+def test_twist_of_a_rotation_has_no_direction(rotation: Twist) -> None:
+    message = converters.to_twist(rotation, HEADER)
     assert (message.twist.linear.x, message.twist.linear.y, message.twist.linear.z) == (0, 0, 0)
     assert message.twist.angular.y == -0.2
     assert message.header == HEADER
 
 
-def test_covariance_says_that_translation_is_not_observable(estimate: Estimate) -> None:
-    message = converters.to_twist_with_covariance(estimate, HEADER)
+def test_covariance_says_that_translation_is_not_observable(rotation: Twist) -> None:
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = -1
+    message = converters.to_twist_with_covariance(rotation, covariance, HEADER)
     assert message.twist.covariance[0] == -1
     np.testing.assert_array_equal(message.twist.covariance[1:], 0)
 

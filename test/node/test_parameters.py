@@ -151,6 +151,7 @@ def test_unknown_parameter_cannot_be_set(make_node: Callable[..., Any]) -> None:
     [
         ("window.duration_ms", Change.ANY_TIME),
         ("estimator.max_events", Change.ANY_TIME),
+        ("scale.speed", Change.ANY_TIME),
         ("input.type", Change.UNCONFIGURED),
         ("camera.frame_id", Change.UNCONFIGURED),
         ("output.timeout_s", Change.UNCONFIGURED),

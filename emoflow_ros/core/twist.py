@@ -1,0 +1,69 @@
+"""Twists of a window at chosen times, and at a known speed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.windows import NS_PER_S
+
+_MOST_SAMPLES = 10_000  # of one window, however long it is
+
+
+@dataclass(frozen=True)
+class Twist:
+    """Motion of the camera at one time, in its optical frame.
+
+    Attributes:
+        t: event time, ns.
+        linear: (3,) unit direction of the velocity, or m/s at a known speed; zeros where it is
+            not observable.
+        angular: (3,) rad/s.
+    """
+
+    t: int
+    linear: NDArray[np.float64]
+    angular: NDArray[np.float64]
+
+    def at_speed(self, speed: float) -> "Twist":
+        """Return the twist of a camera that moves at this speed (m/s)."""
+        return replace(self, linear=speed * self.linear)
+
+
+def covariance_at_speed(covariance: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
+    """Scale the (6, 6) covariance of (direction, angular) to a speed (m/s) that is known exactly.
+
+    One that says that translation is not observable ([0, 0] is -1) is returned as it is.
+    """
+    if covariance[0, 0] < 0:
+        return covariance
+    scale = np.array([speed] * 3 + [1.0] * 3)
+    return covariance * np.outer(scale, scale)
+
+
+def grid_times(t_start: int, t_end: int, rate: float, after: int) -> list[int]:
+    """List the multiples of 1 / rate (Hz) in [t_start, t_end) that lie after a time, in ns.
+
+    The grid is the same for all windows, so that their samples join without a gap or an overlap.
+    Of more than 10 000 times the last ones are returned.
+    """
+    period = max(1, round(NS_PER_S / rate))
+    first = -(-max(t_start, after + 1) // period) * period
+    return list(range(first, t_end, period)[-_MOST_SAMPLES:])
+
+
+def sample(estimate: Estimate, times: Sequence[int]) -> list[Twist]:
+    """Evaluate an estimate's spline at times (ns) of its window."""
+    motion = estimate.motion
+    if motion is None:
+        return []
+    still = np.zeros(3)
+    observable = estimate.translation_observable
+    return [Twist(t, motion.linear(t) if observable else still, motion.angular(t)) for t in times]
+
+
+def at_middle(estimate: Estimate) -> Twist:
+    """Return the twist at the time that the estimate's own values hold at."""
+    return Twist(estimate.t, estimate.linear, estimate.angular)
