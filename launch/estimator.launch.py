@@ -8,6 +8,8 @@ ARGUMENTS = {
     "calibration_file": ("", "camera_info YAML or ECD calib.txt instead of the topic"),
     "profile": ("realtime", "configuration: the name of a file in config/"),
     "params_file": ("", "YAML file of ROS parameters, counts before all other arguments"),
+    "twist_rate": ("0.0", "twists per second, sampled inside the windows; 0: one per window"),
+    "speed": ("", "speed of the camera in m/s, if it is known; empty: directions without a scale"),
     "use_sim_time": ("false", "take time from /clock"),
     "namespace": ("", "namespace of the node and its topics"),
 }
@@ -36,8 +38,11 @@ def _start(context: Any) -> list[Any]:
             "use_sim_time": value["use_sim_time"].lower() == "true",
             "profile": value["profile"],
             "camera.calibration_file": value["calibration_file"],
+            "output.twist_rate": float(value["twist_rate"]),
         }
     ]
+    if value["speed"]:
+        parameters[0] |= {"scale.source": "parameter", "scale.speed": float(value["speed"])}
     if value["params_file"]:
         parameters.append(value["params_file"])
     changed = [
