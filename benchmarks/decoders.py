@@ -1,4 +1,8 @@
-"""Measure how fast each decoder is on one core, and the memory it needs, as JSON and a table."""
+"""Measure how fast each decoder is on one core, and the memory it needs, as JSON and a table.
+
+The speed is that of the fastest repeat: what other work on the machine does to the others is
+not the decoder's.
+"""
 
 import argparse
 import json
@@ -69,7 +73,8 @@ def main() -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        description=__doc__, epilog="example: python benchmarks/decoders.py --seconds 1 > d.json"
+        description=__doc__.splitlines()[0],
+        epilog="example: python benchmarks/decoders.py --seconds 1 > d.json",
     )
     parser.add_argument("--events", type=int, default=30_000, help="per message (default 30000)")
     parser.add_argument("--seconds", type=float, default=0.5, help="per decoder (default 0.5)")

@@ -1,19 +1,18 @@
 """What every decoder takes, returns, counts and raises."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from msg_adapters.wire import Header
+from msg_adapters.geometry import any_outside
 
 type Bytes = bytes | bytearray | memoryview | NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
-class EventMessage:
+class EventMessage(NamedTuple):
     """The events of one message, in the order of the message.
 
     Attributes:
@@ -79,7 +78,7 @@ class Decoder(Protocol):
 
 
 def build_message(
-    header: Header,
+    header: tuple[int, str],
     width: int,
     height: int,
     events: Events,
@@ -92,13 +91,13 @@ def build_message(
 
     `dropped` events of the message have been left out as outside before.
     """
-    known = width > 0 and height > 0 and len(events) > 0
+    count = len(events)
     # Two maxima cost less than a mask; the mask is for the rare stream that needs it.
-    if known and (events.x.max() >= width or events.y.max() >= height):
-        inside = events.inside(width, height)
-        dropped += len(events) - int(np.count_nonzero(inside))
-        events = events[inside]
+    if width and height and any_outside(events.x, events.y, width, height):
+        events = events[events.inside(width, height)]
+        dropped += count - len(events)
+        count = len(events)
     statistics.messages += 1
-    statistics.events += len(events)
+    statistics.events += count
     statistics.dropped_outside += dropped
-    return EventMessage(events, width, height, header.stamp, header.frame_id, seq, dropped)
+    return EventMessage(events, width, height, *header, seq, dropped)

@@ -28,15 +28,13 @@ class PacketDecoder(Protocol):
 
 
 def view_words(
-    payload: memoryview, word: str, big_endian: bool, statistics: Statistics
+    payload: memoryview, word: np.dtype[Any], big_endian: bool, statistics: Statistics
 ) -> NDArray[Any]:
-    """View a payload as native words of a NumPy type code such as `u2`.
+    """View a payload as words of a little-endian type; big-endian ones are copied.
 
-    Words of the other byte order are copied. An incomplete word at the end counts as skipped.
+    An incomplete word at the end counts as skipped.
     """
-    size = np.dtype(word).itemsize
-    count, rest = divmod(len(payload), size)
-    statistics.skipped += rest > 0
-    if big_endian:
-        return np.ndarray((count,), ">" + word, payload).astype(word)
-    return np.ndarray((count,), "<" + word, payload)
+    if len(payload) % word.itemsize:
+        statistics.skipped += 1
+    words: NDArray[Any] = np.ndarray(len(payload) // word.itemsize, word, payload)
+    return words.byteswap() if big_endian else words

@@ -6,7 +6,6 @@ ROS 1: packed little endian; strings carry their length without a NUL.
 """
 
 import struct
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,19 +15,18 @@ type Serialization = Literal["cdr", "ros1"]
 
 NS_PER_S = 1_000_000_000
 _ENCAPSULATION = 4
-_STRUCTS = {order + code: struct.Struct(order + code) for order in "<>" for code in "BIiQ"}
+_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\0\0": ">", b"\0\1": "<"}
+_CODES = ("B", "I", "II", "iII", "IIII", "QQ")
+_STRUCTS = {order: {codes: struct.Struct(order + codes) for codes in _CODES} for order in "<>"}
+# By byte order and codes: how to unpack, the size and the alignment.
+_INTEGERS = {
+    order: {codes: (s.unpack_from, s.size, s.size // len(codes)) for codes, s in structs.items()}
+    for order, structs in _STRUCTS.items()
+}
 
 
 class DecodeError(ValueError):
     """Bytes that are not a message of the expected type; says in one line why."""
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """std_msgs/Header: stamp in ns, and the frame."""
-
-    stamp: int
-    frame_id: str
 
 
 class Cursor:
@@ -42,6 +40,8 @@ class Cursor:
         DecodeError: not a contiguous run of bytes, or an unknown encapsulation.
     """
 
+    __slots__ = ("_at", "_cdr", "_data", "_end", "_integers", "order")
+
     def __init__(
         self, data: bytes | bytearray | memoryview | NDArray[np.uint8], serialization: Serialization
     ) -> None:
@@ -49,67 +49,73 @@ class Cursor:
         if not view.c_contiguous or view.itemsize != 1:
             raise DecodeError("the message is not a contiguous buffer of bytes")
         self._data = view.cast("B")
+        self._end = len(self._data)
         self._cdr = serialization == "cdr"
         self._at = 0
         self.order: Literal["<", ">"] = "<"
         if self._cdr:
-            kind = bytes(self.take(_ENCAPSULATION)[:2])
-            if kind not in (b"\0\0", b"\0\1"):
+            kind = bytes(self._data[:2])
+            if kind not in _ORDERS:
                 raise DecodeError(f"CDR encapsulation 0x{kind.hex()} is not plain CDR")
-            self.order = ">" if kind == b"\0\0" else "<"
+            self.order = _ORDERS[kind]
+            self._at = _ENCAPSULATION
+        self._integers = _INTEGERS[self.order]
 
     @property
     def remaining(self) -> int:
         """Bytes left."""
-        return len(self._data) - self._at
+        return self._end - self._at
 
     def take(self, count: int) -> memoryview:
         """Take the next `count` bytes as a view."""
-        if count > self.remaining:
-            raise DecodeError(f"{count} bytes expected at byte {self._at}, {self.remaining} left")
-        self._at += count
-        return self._data[self._at - count : self._at]
+        at = self._at
+        if at + count > self._end:
+            raise DecodeError(f"{count} bytes expected at byte {at}, {self.remaining} left")
+        self._at = at + count
+        return self._data[at : at + count]
 
     def align(self, size: int) -> None:
         """Skip CDR's padding before a value of `size` bytes."""
         if self._cdr:
             self.take((_ENCAPSULATION - self._at) % size)
 
-    def scalar(self, code: Literal["B", "I", "i", "Q"]) -> int:
-        """Read one integer, by its struct code."""
-        packed = _STRUCTS[self.order + code]
+    def integers(self, codes: str) -> tuple[int, ...]:
+        """Read integers of one size that follow each other, by their struct codes."""
+        unpack, size, alignment = self._integers[codes]
         at = self._at
         if self._cdr:
-            at += (_ENCAPSULATION - at) % packed.size
-        if at + packed.size > len(self._data):
-            raise DecodeError(f"the message ends at byte {len(self._data)}, inside a number")
-        self._at = at + packed.size
-        value: int = packed.unpack_from(self._data, at)[0]
-        return value
+            at += (_ENCAPSULATION - at) % alignment
+        if at + size > self._end:
+            raise DecodeError(f"the message ends at byte {self._end}, inside a number")
+        self._at = at + size
+        return unpack(self._data, at)
 
     def string(self) -> str:
         """Read a string; bytes that are not UTF-8 are replaced."""
-        raw = bytes(self.take(self.scalar("I")))
-        if self._cdr:
-            raw = raw.removesuffix(b"\0")
-        return raw.decode(errors="replace")
+        (length,) = self.integers("I")
+        return self._text(length)
 
     def blob(self) -> memoryview:
         """Read a sequence of bytes as a view."""
-        return self.take(self.scalar("I"))
+        (length,) = self.integers("I")
+        return self.take(length)
 
-    def time(self) -> int:
-        """Read a time as ns: int32 seconds in ROS 2, uint32 in ROS 1."""
-        seconds = self.scalar("i" if self._cdr else "I")
-        return seconds * NS_PER_S + self.scalar("I")
+    def header(self) -> tuple[int, str]:
+        """Read std_msgs/Header as (stamp in ns, frame_id).
 
-    def header(self) -> Header:
-        """Read std_msgs/Header (ROS 1 has a sequence number before the stamp)."""
-        if not self._cdr:
-            self.scalar("I")
-        return Header(self.time(), self.string())
+        In ROS 1 a running number comes before the stamp, whose seconds are unsigned.
+        """
+        if self._cdr:
+            seconds, nanoseconds, length = self.integers("iII")
+        else:
+            _, seconds, nanoseconds, length = self.integers("IIII")
+        return seconds * NS_PER_S + nanoseconds, self._text(length)
 
     def finish(self) -> None:
         """Check that nothing but alignment's padding is left."""
-        if self.remaining >= _ENCAPSULATION:
+        if self._end - self._at >= _ENCAPSULATION:
             raise DecodeError(f"{self.remaining} bytes left over after the message")
+
+    def _text(self, length: int) -> str:
+        text = str(self.take(length), errors="replace")
+        return text.removesuffix("\0") if self._cdr else text

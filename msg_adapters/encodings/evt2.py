@@ -15,6 +15,8 @@ from msg_adapters.packet import view_words
 
 ENCODING = "evt2"
 
+_WORD = np.dtype("<u4")
+
 _CD_ON = 0x1  # CD_OFF is 0
 _TIME_HIGH = 0x8
 _TRIGGER = 0xA
@@ -36,7 +38,7 @@ class PacketDecoder:
 
     def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
         """Decode one packet; the sensor's time counts, `time_base` is not used."""
-        words = view_words(payload, "u4", big_endian, self._statistics)
+        words = view_words(payload, _WORD, big_endian, self._statistics)
         capacity = int(np.count_nonzero(words < _FIRST_NOT_CD))
         return run_kernel(_decode, words, self._state, capacity, self._statistics)
 

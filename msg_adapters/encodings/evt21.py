@@ -18,6 +18,8 @@ from msg_adapters.packet import view_words
 
 ENCODING = "evt21"
 
+_WORD = np.dtype("<i8")
+
 _EVT_POS = 0x1  # EVT_NEG is 0
 _TIME_HIGH = 0x8
 _TRIGGER = 0xA
@@ -40,7 +42,7 @@ class PacketDecoder:
 
     def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
         """Decode one packet; the sensor's time counts, `time_base` is not used."""
-        words = view_words(payload, "i8", big_endian, self._statistics)
+        words = view_words(payload, _WORD, big_endian, self._statistics)
         if self._upper_first is None:
             self._upper_first = _find_order(words)
         if self._upper_first:

@@ -13,6 +13,7 @@ from msg_adapters.packet import view_words
 
 ENCODING = "libcaer"
 
+_WORD = np.dtype("<u4")
 _WRAP_US = 1 << 31
 _HALF_US = 1 << 30
 _FIFTEEN_BITS = 0x7FFF
@@ -29,7 +30,7 @@ class PacketDecoder:
         """Decode one packet; times count from `time_base`."""
         whole = payload[: len(payload) // 8 * 8]
         self._statistics.skipped += len(payload) > len(whole)
-        words = view_words(whole, "u4", big_endian, self._statistics)
+        words = view_words(whole, _WORD, big_endian, self._statistics)
         data = words[0::2]
         x = (data >> 17).astype(np.uint16)
         y = (data >> 2).astype(np.uint16) & np.uint16(_FIFTEEN_BITS)

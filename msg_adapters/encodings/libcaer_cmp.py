@@ -14,6 +14,8 @@ from msg_adapters.packet import view_words
 
 ENCODING = "libcaer_cmp"
 
+_WORD = np.dtype("<u2")
+
 _TIME_HIGH = 0x0
 _TIME_LOW = 0x1
 _ADDR_X = 0x2  # bits 0-10: column
@@ -35,7 +37,7 @@ class PacketDecoder:
 
     def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
         """Decode one packet; times count from `time_base`."""
-        words = view_words(payload, "u2", big_endian, self._statistics)
+        words = view_words(payload, _WORD, big_endian, self._statistics)
         state = np.array([time_base], np.int64)
         return run_kernel(_decode, words, state, _count(words), self._statistics)
 
@@ -55,11 +57,14 @@ def _count(words):  # type: ignore[no-untyped-def]
     """Count the events that the words can stand for at most."""
     count = 0
     for i in range(len(words)):
-        kind = words[i] >> 12
+        word = np.int64(words[i])
+        kind = word >> 12
+        bits = np.int64(0)
         if kind == _ADDR_Y:
-            count += 1
+            bits = np.int64(1)
         elif kind == _VECT_8:
-            count += count_bits(words[i] & 0xFF)
+            bits = word & 0xFF
+        count += count_bits(bits)
     return count
 
 

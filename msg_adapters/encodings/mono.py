@@ -12,6 +12,7 @@ from msg_adapters.packet import view_words
 
 ENCODING = "mono"
 
+_WORD = np.dtype("<u8")
 _FIELDS = np.dtype([("dt", "<u4"), ("x", "<u2"), ("y_and_p", "<u2")])
 _ROW = np.uint16(0x7FFF)
 _ON = np.uint16(0x8000)
@@ -25,7 +26,7 @@ class PacketDecoder:
 
     def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
         """Decode one packet; times count from `time_base`."""
-        fields = view_words(payload, "u8", big_endian, self._statistics).view(_FIELDS)
+        fields = view_words(payload, _WORD, big_endian, self._statistics).view(_FIELDS)
         t = fields["dt"].astype(np.int64)
         t += time_base
         y = fields["y_and_p"] & _ROW

@@ -47,7 +47,7 @@ class EventArrayDecoder:
         """Decode one message; see Decoder."""
         cursor = Cursor(data, self._serialization)
         header = cursor.header()
-        height, width = cursor.scalar("I"), cursor.scalar("I")
+        height, width = cursor.integers("II")
         events = self._events(cursor)
         cursor.finish()
         return build_message(header, width, height, events, self.statistics)
@@ -56,7 +56,7 @@ class EventArrayDecoder:
         """Do nothing: there is no state."""
 
     def _events(self, cursor: Cursor) -> Events:
-        count = cursor.scalar("I")
+        (count,) = cursor.integers("I")
         if count == 0:
             return Events.empty()
         cursor.align(_ALIGNMENT)

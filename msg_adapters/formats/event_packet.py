@@ -28,17 +28,17 @@ class EventPacketDecoder:
         """Decode one message; see Decoder."""
         cursor = Cursor(data, self._serialization)
         header = cursor.header()
-        height, width = cursor.scalar("I"), cursor.scalar("I")
-        seq, time_base = cursor.scalar("Q"), cursor.scalar("Q")
+        height, width = cursor.integers("II")
+        seq, time_base = cursor.integers("QQ")
         encoding = cursor.string()
-        big_endian = bool(cursor.scalar("B"))
+        (big_endian,) = cursor.integers("B")
         payload = cursor.blob()
         cursor.finish()
         if time_base >= _TIME_LIMIT:
             raise DecodeError(f"time_base {time_base} is beyond 64-bit nanoseconds")
         packets = self._packets_of(encoding)
         self._follow(seq, packets)
-        events = packets.decode(payload, big_endian, time_base)
+        events = packets.decode(payload, bool(big_endian), time_base)
         return build_message(header, width, height, events, self.statistics, seq=seq)
 
     def reset(self) -> None:

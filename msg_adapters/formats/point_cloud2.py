@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import Events
 from msg_adapters.cloud_time import CloudTime
 from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
-from msg_adapters.wire import Cursor, DecodeError, Header, Serialization
+from msg_adapters.wire import Cursor, DecodeError, Serialization
 
 TYPES = ("sensor_msgs/msg/PointCloud2",)
 
@@ -50,26 +50,24 @@ class PointCloud2Decoder:
         """Decode one message; see Decoder."""
         cursor = Cursor(data, self._serialization)
         header = cursor.header()
-        height, width = cursor.scalar("I"), cursor.scalar("I")
+        height, width = cursor.integers("II")
         fields = _read_fields(cursor)
-        big_endian = bool(cursor.scalar("B"))
-        point_step, row_step = cursor.scalar("I"), cursor.scalar("I")
+        (big_endian,) = cursor.integers("B")
+        point_step, row_step = cursor.integers("II")
         cloud = cursor.blob()
-        cursor.scalar("B")  # is_dense
+        cursor.integers("B")  # is_dense
         cursor.finish()
         dtype, time_name = _point_dtype(fields, ">" if big_endian else "<", point_step)
         points = _view_points(cloud, dtype, height, width, row_step, point_step)
-        events, dropped = self._events(points, time_name, header)
+        events, dropped = self._events(points, time_name, stamp=header[0])
         return build_message(header, 0, 0, events, self.statistics, dropped=dropped)
 
-    def _events(
-        self, points: NDArray[np.void], time_name: str, header: Header
-    ) -> tuple[Events, int]:
+    def _events(self, points: NDArray[np.void], time_name: str, stamp: int) -> tuple[Events, int]:
         total = points.size
         unusable = _no_pixel(points["x"]) | _no_pixel(points["y"]) | ~np.isfinite(points["t"])
         if unusable.any():
             points = points[~unusable]
-        t = self._time.to_ns(time_name, points["t"], header.stamp)
+        t = self._time.to_ns(time_name, points["t"], stamp)
         x, y = points["x"].astype(np.uint16), points["y"].astype(np.uint16)
         return Events(x, y, t, points["p"] > 0), total - len(t)
 
@@ -78,14 +76,15 @@ DECODER = PointCloud2Decoder
 
 
 def _read_fields(cursor: Cursor) -> list[_Field]:
-    count = cursor.scalar("I")
+    (count,) = cursor.integers("I")
     if count * _MIN_FIELD_SIZE > cursor.remaining:
         raise DecodeError(f"{count} fields announced in {cursor.remaining} bytes")
     fields = []
     for _ in range(count):
         name = cursor.string()
-        offset, datatype = cursor.scalar("I"), cursor.scalar("B")
-        cursor.scalar("I")  # elements per field: only the first one counts
+        (offset,) = cursor.integers("I")
+        (datatype,) = cursor.integers("B")
+        cursor.integers("I")  # elements per field: only the first one counts
         fields.append(_Field(name, offset, datatype))
     return fields
 
