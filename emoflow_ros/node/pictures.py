@@ -6,11 +6,11 @@ import numpy as np
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.core.sharpened import sharpened_events
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.channel import Arrays
 from emoflow_ros.node.tasks import Wishes
-from emoflow_ros.offline.flow_color import flow_to_rgb
 
 
 class Picture(StrEnum):

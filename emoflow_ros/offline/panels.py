@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
+from emoflow_ros.core.flow_color import color_wheel, flow_to_rgb
 from emoflow_ros.offline.figures import style
-from emoflow_ros.offline.flow_color import color_wheel, flow_to_rgb
 from emoflow_ros.offline.gallery import Example
 from emoflow_ros.offline.iwe import event_image, warped_image
 from emoflow_ros.offline.metrics import end_point_error

@@ -6,9 +6,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.figures import style
-from emoflow_ros.offline.flow_color import flow_to_rgb
 from emoflow_ros.offline.gallery import Example
 from emoflow_ros.offline.iwe import warped_image
 from emoflow_ros.offline.tracks import INSTANTS, Points

@@ -13,7 +13,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import Image
 
-from emoflow_ros.offline.flow_color import flow_to_rgb
+from emoflow_ros.core.flow_color import flow_to_rgb
 
 pytestmark = pytest.mark.dds
 

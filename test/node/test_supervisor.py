@@ -11,11 +11,11 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.pictures import Picture
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Loss, Outcome, Result, Task, Wishes
-from emoflow_ros.offline.flow_color import flow_to_rgb
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 WAIT_S = 30.0
