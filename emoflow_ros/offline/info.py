@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.readers.bag import BagRecording, open_bag, read_messages, serialization
 from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
@@ -24,7 +24,11 @@ examples:
   info recording.bag
   info events.raw --json
 """
-_NO_CALIBRATION = "no calibration: give one with --calib FILE"
+_NO_CALIBRATION = (
+    "no calibration: give --calib FILE to evaluate, camera.calibration_file to the estimator"
+)
+# Lidars publish these, too: a topic of them without a single event is no event topic.
+_AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
 
 @dataclass
@@ -108,7 +112,7 @@ def inspect(path: Path) -> Info:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="info",
-        description=__doc__,
+        description="Say what a recording holds, and what is missing to run the estimator on it.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -131,16 +135,18 @@ def _inspect_bag(path: Path) -> Info:
         for name in sorted({c.topic for c in bag.connections}):
             connections = [c for c in bag.connections if c.topic == name]
             ros_type = connections[0].msgtype
+            count = sum(c.msgcount for c in connections)
             if ros_type in supported_types():
                 messages = (data for _, _, data in read_messages(path, bag, connections))
-                count = sum(c.msgcount for c in connections)
                 bar = tqdm(messages, name, count, unit="packet", leave=False, disable=None)
-                info.topics.append(_inspect_topic(name, ros_type, serialization(bag), bar))
-                if not _has_camera_info(bag, name):
-                    info.missing.append(f"{name}: {_NO_CALIBRATION}")
-            else:
-                count = sum(c.msgcount for c in connections)
-                info.other_topics.append({"name": name, "type": ros_type, "messages": count})
+                topic = _inspect_topic(name, ros_type, serialization(bag), bar)
+                if ros_type != _AMBIGUOUS or topic.malformed < count:
+                    info.topics.append(topic)
+                    continue
+            info.other_topics.append({"name": name, "type": ros_type, "messages": count})
+    info.missing += [
+        f"{t.name}: {problem}" for t in info.topics if (problem := _calibration_problem(path, t))
+    ]
     return info
 
 
@@ -160,9 +166,18 @@ def _inspect_topic(name: str, ros_type: str, kind: Any, messages: Iterable[bytes
     return topic
 
 
-def _has_camera_info(bag: AnyReader, topic: str) -> bool:
-    name = topic.rpartition("/")[0] + "/camera_info"
-    return any(c.topic == name and c.msgcount for c in bag.connections)
+def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
+    """Say why the bag's own calibration of a topic is of no use."""
+    try:
+        with BagRecording(path, topic=topic.name) as recording:
+            camera = recording.camera
+    except InputError as error:
+        return f"camera_info cannot be used ({error})"
+    if camera is None:
+        return _NO_CALIBRATION
+    if topic.width and (camera.width, camera.height) != (topic.width, topic.height):
+        return f"camera_info is of a {camera.width}x{camera.height} sensor"
+    return None
 
 
 def _inspect_file(path: Path) -> Info:

@@ -1,13 +1,19 @@
 import json
+import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags import rosbag2
+from rosbags.typesys import Stores, get_typestore
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.info import inspect, main
+from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.simulation.messages import CAMERA_INFO, EVENT_ARRAY, MessageEncoder
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 
@@ -51,7 +57,9 @@ def test_what_is_missing_and_what_is_wrong(tmp_path, make_events, write_event_ba
         assert topic.unsorted == 1
         assert topic.outside == np.count_nonzero(events.x >= 20)
         assert topic.events == 100 - topic.outside
-    assert info.missing == [f"{t}: no calibration: give one with --calib FILE" for t in topics]
+    assert [line.partition(": give")[0] for line in info.missing] == [
+        f"{t}: no calibration" for t in topics
+    ]
 
 
 def test_bag_without_events(tmp_path, write_event_bag):
@@ -72,6 +80,77 @@ def test_file(tmp_path):
     (topic,) = inspect(path).topics
     assert (topic.width, topic.height, topic.events, topic.on) == (346, 260, 11, 5)
     assert topic.rate == pytest.approx(11)
+
+
+def write_clouds(path: Path, topics: dict[str, str]) -> Path:
+    """Write one PointCloud2 of 2000 points for each topic: x, y, p as u2 and the given field."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    cloud, field = (types.types[f"sensor_msgs/msg/{n}"] for n in ("PointCloud2", "PointField"))
+    header, time = types.types["std_msgs/msg/Header"], types.types["builtin_interfaces/msg/Time"]
+    k = np.arange(2000)
+    points = np.stack([k % 300, k % 200, k % 2, k], axis=1).astype("<u2")
+    with rosbag2.Writer(path, version=9) as writer:
+        for topic, last in topics.items():
+            fields = [field(n, 2 * i, 4, 1) for i, n in enumerate(("x", "y", "p", last))]
+            data = points.view(np.uint8).ravel()
+            message = cloud(header(time(5, 0), "cam"), 1, 2000, fields, False, 8, 8, data, True)
+            connection = writer.add_connection(topic, cloud.__msgtype__, typestore=types)
+            writer.write(connection, 5, types.serialize_cdr(message, cloud.__msgtype__))
+    return path
+
+
+def test_events_of_an_unknown_sensor_are_all_inside(tmp_path):
+    path = write_clouds(tmp_path / "clouds", {"/cam/events": "t_us"})
+    (topic,) = inspect(path).topics
+    assert (topic.width, topic.height) == (0, 0)
+    assert (topic.events, topic.outside) == (2000, 0)
+    with open_recording(path) as recording:
+        assert sum(map(len, recording.event_chunks())) == 2000
+
+
+def test_clouds_without_events_are_another_topic(tmp_path):
+    path = write_clouds(tmp_path / "clouds", {"/cam/events": "t_us", "/lidar": "intensity"})
+    info = inspect(path)
+    assert [t.name for t in info.topics] == ["/cam/events"]
+    assert info.other_topics == [
+        {"name": "/lidar", "type": "sensor_msgs/msg/PointCloud2", "messages": 1}
+    ]
+
+
+@pytest.mark.parametrize(
+    ("size", "focal", "words"),
+    [
+        ((32, 24), 20.0, None),
+        ((64, 48), 20.0, "camera_info is of a 64x48 sensor"),
+        ((32, 24), 0.0, "camera_info cannot be used (camera: focal lengths fx=0.0"),
+    ],
+)
+def test_camera_info_that_does_not_serve(tmp_path, make_events, size, focal, words):
+    encoder = MessageEncoder(ros1=False)
+    camera = Camera(*size, 20.0, 20.0, 16.0, 12.0)
+    camera_info = encoder.camera_info(0, camera)
+    messages = {
+        EVENT_ARRAY: encoder.events(0, Camera(32, 24, 20.0, 20.0, 16.0, 12.0), make_events(10)),
+        CAMERA_INFO: camera_info.replace(struct.pack("<d", 20.0), struct.pack("<d", focal)),
+    }
+    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+        for name, (ros_type, data) in zip(("events", "camera_info"), messages.items(), strict=True):
+            connection = writer.add_connection(
+                f"/cam/{name}", ros_type, typestore=encoder.typestore
+            )
+            writer.write(connection, 5, data)
+    missing = inspect(tmp_path / "bag").missing
+    assert len(missing) == (words is not None)
+    assert all(line.startswith(f"/cam/events: {words}") for line in missing)
+
+
+def test_ecd_folder_without_calibration(tmp_path):
+    (tmp_path / "events.txt").write_text("0.1 1 2 1\n0.2 500 2 0\n")
+    info = inspect(tmp_path)
+    (topic,) = info.topics
+    assert (topic.width, topic.height, topic.events, topic.on) == (0, 0, 2, 1)
+    (missing,) = info.missing
+    assert missing.startswith("no calibration")
 
 
 def test_missing_input(tmp_path):

@@ -219,8 +219,10 @@ def test_ecd_bad_events(tmp_path, lines, words):
 
 
 def test_ecd_without_calibration(tmp_path):
-    folder = ecd_folder(tmp_path / "e", ["0.1 1 2 1"], calibration=None)
-    assert_refused(folder, "no camera calibration", "--calib")
+    folder = ecd_folder(tmp_path / "e", ["0.1 1 2 1", "0.2 500 2 1"], calibration=None)
+    assert len(read_all(folder)) == 2
+    with open_recording(folder) as recording, pytest.raises(InputError, match="--calib FILE"):
+        require_camera(recording)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from msg_adapters import DecodeError, make_decoder, supported_types
 _STORAGE_SUFFIXES = (".db3", ".mcap")
 _MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 _SQLITE_HEADER = 100
+_ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
 _REPAIR = {
     ".bag": "repair it with 'rosbag reindex' or copy it again",
     ".db3": "repair it with 'ros2 bag reindex' or copy it again",
@@ -86,7 +87,7 @@ class BagRecording:
     def _sensor_size(self, width: int, height: int) -> tuple[int, int]:
         """Reconcile the size in the messages (0: none) with the camera's."""
         if self.camera is None:
-            return width, height
+            return width or _ANY_SIZE, height or _ANY_SIZE
         size = self.camera.width, self.camera.height
         if width and (width, height) != size:
             raise InputError(

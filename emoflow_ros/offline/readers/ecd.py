@@ -13,7 +13,7 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck, require_camera
+from emoflow_ros.offline.readers.base import StreamCheck
 
 _EVENTS = "events.txt"
 _CHUNK_BYTES = 4 << 20  # about 200 000 events
@@ -46,8 +46,9 @@ class EcdRecording:
 
     def event_chunks(self) -> Iterator[Events]:
         """Stream the events, some 200 000 at a time."""
-        camera = require_camera(self)
-        check = StreamCheck(self._file, camera.width, camera.height)
+        camera = self.camera
+        size = (camera.width, camera.height) if camera else (_OUTSIDE, _OUTSIDE)
+        check = StreamCheck(self._file, *size)
         with self._file.open(encoding="ascii") as lines:
             while text := lines.read(_CHUNK_BYTES):
                 yield check(self._parse(text + lines.readline()))
