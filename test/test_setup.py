@@ -65,11 +65,12 @@ def test_executable_explains_itself(executable: str) -> None:
     assert len(shown.stdout.splitlines()) > 5
 
 
-def test_node_process_loads_neither_torch_nor_numba() -> None:
+def test_node_process_loads_neither_torch_nor_the_estimator() -> None:
     pytest.importorskip("rclpy", reason="no ROS: run `make test`")
     code = (
         "import sys, emoflow_ros.node.estimator, msg_adapters; "
-        "print(sorted({'torch', 'numba'} & set(sys.modules)))"
+        "print(sorted({'torch', 'emoflow_ros.core.lattice_estimator', 'emoflow_ros.core.kernels'} "
+        "& set(sys.modules)))"
     )
     shown = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
