@@ -115,6 +115,11 @@ class Contrast:
         flat = self.image.ravel()
         return 0.5 * self._area * float(flat @ flat)
 
+    def gain(self, events: WindowEvents, flow: F32) -> float:
+        """Contrast of the warped events over that of the events as they came."""
+        sharp, _ = self.sharpen(events, flow)
+        return sharp / self.score(events, np.stack([events.x, events.y]))
+
     def linearise(
         self,
         events: WindowEvents,

@@ -92,7 +92,7 @@ class LatticeEstimator:
             else:
                 self.reset()
                 stop = self._fit_cold(events)
-            gain = self._contrast_gain(events)
+            gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain:
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
             result = self._result(window, len(events), stop, gain, warm)
@@ -139,7 +139,11 @@ class LatticeEstimator:
         fit.flow = ((mean + slope) * ratio).astype(np.float32)
         w, v = last.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v)
-        prior = self._prior(window, last)
+        prior = None
+        if last.belief is not None:
+            prior = MotionPrior.carried(
+                last.belief, window, self.config.angular_drift, self.config.direction_drift
+            )
         fit.structure = last.structure and last.structure.predict(
             self.lattice,
             self._epipolar,
@@ -154,19 +158,6 @@ class LatticeEstimator:
                 fit.linearise(few, scale)
                 self._step(prior)
         return self._refine(events, self.config.warm_iterations, prior, hurry=True)
-
-    def _prior(self, window: Window, last: _Last) -> MotionPrior | None:
-        """Carry the belief over to the middle of the window, in its units."""
-        if last.belief is None:
-            return None
-        information = last.belief.predicted_information(
-            (window.t_start + window.t_end) // 2,
-            np.radians(self.config.angular_drift),
-            np.radians(self.config.direction_drift),
-        )
-        unit = np.repeat([window.duration, 1.0], 3)
-        mean = unit * np.concatenate([last.belief.w, last.belief.v])
-        return MotionPrior(mean, information / np.outer(unit, unit))
 
     def _refine(
         self, events: WindowEvents, steps: int, prior: MotionPrior | None, *, hurry: bool
@@ -239,11 +230,6 @@ class LatticeEstimator:
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])
         return after
-
-    def _contrast_gain(self, events: WindowEvents) -> float:
-        contrast = self._fit.contrasts[1.0]
-        sharp, _ = contrast.sharpen(events, self._fit.flow)
-        return sharp / contrast.score(events, np.stack([events.x, events.y]))
 
     def _result(self, window: Window, used: int, stop: str, gain: float, warm: bool) -> Estimate:
         fit = self._fit

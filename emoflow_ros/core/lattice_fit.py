@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
 from emoflow_ros.core.contrast import Contrast, WindowEvents
 from emoflow_ros.core.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar, Residuals
 from emoflow_ros.core.lattice import Lattice
@@ -13,6 +13,7 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.spline import CONTROL_POINTS, basis
 from emoflow_ros.core.structure import Structure
+from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,26 @@ class MotionPrior:
 
     mean: Array
     information: Array
+
+    @classmethod
+    def carried(
+        cls, belief: Belief, window: Window, angular_drift: float, direction_drift: float
+    ) -> "MotionPrior":
+        """Carry a belief over to the middle of a window, in its units.
+
+        Args:
+            belief: what is known from earlier windows.
+            window: the one to come.
+            angular_drift: deg/s per square root of a second.
+            direction_drift: deg per square root of a second.
+        """
+        information = belief.predicted_information(
+            (window.t_start + window.t_end) // 2,
+            np.radians(angular_drift),
+            np.radians(direction_drift),
+        )
+        unit = np.repeat([window.duration, 1.0], 3)
+        return cls(unit * np.concatenate([belief.w, belief.v]), information / np.outer(unit, unit))
 
     def surprise(self, directions: Array) -> Array:
         """Cost (M,) that directions of v (M, 3), of either sign, would bring with them."""
