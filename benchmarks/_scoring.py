@@ -54,7 +54,8 @@ class SimulatedTruth:
         """Displacement of the pixels of t0 until t1 (ns)."""
         flow = self._truth.displacement(t0, t1)
         valid = np.isfinite(flow).all(axis=-1)
-        return TrueFlow(np.where(valid[..., None], flow, 0).astype(np.float32), valid)
+        known = np.where(valid[..., None], flow, 0).astype(np.float32)
+        return TrueFlow(known, valid, self._truth.moving_mask(t0))
 
 
 def normalised_errors(estimate: Estimate, result: WindowResult) -> tuple[float, float]:

@@ -157,7 +157,7 @@ class CroppedFlow:
             return None
         valid = flow.valid.copy()
         valid[self._rows :] = False
-        return TrueFlow(flow.displacement, valid)
+        return replace(flow, valid=valid)
 
 
 def _stamps(recording: Recording, truth: Truth) -> tuple[NDArray[np.int64], str]:

@@ -43,6 +43,8 @@ class WindowResult:
         quality: the estimator's own record.
         note: the exception, where the estimator raised one.
         tracks: errors of the point tracks at the window's end, where points are tracked.
+        static_flow: `flow` without the pixels of objects that move by themselves, where the
+            truth knows of one in the image.
     """
 
     index: int
@@ -59,6 +61,7 @@ class WindowResult:
     quality: Quality
     note: str = ""
     tracks: TrackErrors | None = None
+    static_flow: FlowErrors | None = None
 
     @property
     def ok(self) -> bool:
@@ -129,6 +132,7 @@ def assess(
     ok = estimate.status is Status.OK
     observable = estimate.translation_observable
     variance = np.diag(estimate.covariance).astype(np.float64)
+    flow, static_flow = _compare_flow(window, estimate, truth)
     known = ok & (variance >= 0) & ((np.arange(6) >= 3) | observable)
     return WindowResult(
         index=index,
@@ -141,10 +145,11 @@ def assess(
         angular=np.where(ok, estimate.angular, np.nan),
         sigma=np.sqrt(np.where(known, variance, np.nan)),
         truth=truth.twists.twist(estimate.t) if truth.twists else None,
-        flow=_compare_flow(window, estimate, truth),
+        flow=flow,
         quality=estimate.quality,
         note=note,
         tracks=tracks,
+        static_flow=static_flow,
     )
 
 
@@ -155,11 +160,18 @@ def comparison_mask(window: Window, true_flow: TrueFlow) -> Mask:
     return has_events & true_flow.valid & known_flow_mask(true_flow.displacement)
 
 
-def _compare_flow(window: Window, estimate: Estimate, truth: Truth) -> FlowErrors | None:
+def _compare_flow(
+    window: Window, estimate: Estimate, truth: Truth
+) -> tuple[FlowErrors | None, FlowErrors | None]:
+    """Compare all pixels, and those of the static scene where something else moves."""
     if estimate.flow is None or truth.flows is None:
-        return None
+        return None, None
     true_flow = truth.flows.displacement(window.t_start, window.t_end)
     if true_flow is None:
-        return None
+        return None, None
     flow = estimate.flow.displacement(window.t_start, window.t_end)
-    return flow_errors(flow, true_flow.displacement, comparison_mask(window, true_flow))
+    true, mask = true_flow.displacement, comparison_mask(window, true_flow)
+    errors = flow_errors(flow, true, mask)
+    if true_flow.moving is None or not true_flow.moving.any():
+        return errors, None
+    return errors, flow_errors(flow, true, mask & ~true_flow.moving)

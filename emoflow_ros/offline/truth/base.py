@@ -27,10 +27,12 @@ class TrueFlow:
     Attributes:
         displacement: (H, W, 2) px, u right and v down; zero where not valid.
         valid: (H, W), where the truth is known.
+        moving: (H, W), what sees an object that moves by itself; None where that is unknown.
     """
 
     displacement: NDArray[np.float32]
     valid: NDArray[np.bool_]
+    moving: NDArray[np.bool_] | None = None
 
 
 class TwistSource(Protocol):
