@@ -9,7 +9,7 @@ from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.truth.bag import load_bag_truth
 from emoflow_ros.offline.truth.base import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
-from emoflow_ros.offline.truth.ecd import load_motion, load_poses
+from emoflow_ros.offline.truth.ecd import load_gyro, load_motion, load_poses
 from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
 from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
 
@@ -27,6 +27,7 @@ __all__ = [
 _BY_NAME: dict[str, Callable[[Path, Camera], Truth]] = {
     "motion.txt": load_motion,
     "groundtruth.txt": load_poses,
+    "imu.txt": load_gyro,
 }
 
 
@@ -35,9 +36,10 @@ def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
 
     Args:
         recording: the recording, with a camera.
-        paths: bags with poses and depth, MVSEC's flow npz, ECD's `motion.txt` or
-            `groundtruth.txt`. Without any, what lies inside the recording's folder. Of
-            several that say the same, the first one counts; flow maps count before depth.
+        paths: bags with poses and depth, MVSEC's flow npz, ECD's `motion.txt`,
+            `groundtruth.txt` or `imu.txt`. Without any, what lies inside the recording's folder.
+            Of several velocities the first one counts and the others stand beside it; of several
+            flows the first one counts, flow maps before depth.
 
     Raises:
         InputError: a file that is missing or of no known format.
@@ -46,9 +48,12 @@ def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
     if not paths:
         paths = [recording.path / name for name in _BY_NAME if (recording.path / name).is_file()]
     parts = [_load(path, camera, recording.topic) for path in sorted(paths, key=_rank)]
+    twists = [part.twists for part in parts if part.twists]
     return Truth(
-        next((part.twists for part in parts if part.twists), None),
+        next(iter(twists), None),
         next((part.flows for part in parts if part.flows), None),
+        tuple(twists[1:]),
+        next((part.poses for part in parts if part.poses), None),
     )
 
 

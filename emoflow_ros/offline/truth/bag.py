@@ -46,10 +46,10 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
     depth = _choose(path, reader, namespace, _IMAGE, _DEPTH_NAMES)
     if depth is None:
         stack.close()
-        return Truth(twists)
+        return Truth(twists, poses=track)
     images = _DepthImages(path, reader, depth, camera, stack)
     maps = DepthFlowMaps(camera, track, images.stamps, images.read, f"{path.name}{depth.topic}")
-    return Truth(twists, PropagatedFlow(maps))
+    return Truth(twists, PropagatedFlow(maps), poses=track)
 
 
 def _choose(

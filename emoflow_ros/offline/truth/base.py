@@ -36,8 +36,14 @@ class TrueFlow:
 
 
 class TwistSource(Protocol):
-    """True velocity over time. `description` says how it came about, with every filter."""
+    """True velocity over time.
 
+    Attributes:
+        name: where it comes from, in a word or two.
+        description: how it came about, with every filter.
+    """
+
+    name: str
     description: str
 
     def twist(self, t: int) -> TrueTwist | None:
@@ -55,15 +61,36 @@ class FlowSource(Protocol):
         ...
 
 
+class PoseSource(Protocol):
+    """True poses over time, in any fixed world."""
+
+    def covers(self, t: int) -> bool:
+        """Whether the pose at time t (ns) is known."""
+        ...
+
+    def transform(self, t: int) -> NDArray[np.float64]:
+        """World-from-camera (4, 4) at time t (ns), which must be covered; metres."""
+        ...
+
+
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of one recording; either part may be missing."""
+    """Ground truth of one recording; every part may be missing.
+
+    Attributes:
+        twists: the velocity that errors are counted against.
+        flows: the flow.
+        other_twists: velocities from other sources, which are reported beside `twists`.
+        poses: the trajectory.
+    """
 
     twists: TwistSource | None = None
     flows: FlowSource | None = None
+    other_twists: tuple[TwistSource, ...] = ()
+    poses: PoseSource | None = None
 
     @property
     def description(self) -> list[str]:
         """One line per source, for the report."""
-        sources = [source for source in (self.twists, self.flows) if source]
+        sources = [s for s in (self.twists, self.flows, *self.other_twists) if s]
         return list(dict.fromkeys(source.description for source in sources))

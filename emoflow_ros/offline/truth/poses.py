@@ -57,6 +57,7 @@ class PoseTwist:
 
     def __init__(self, track: PoseTrack, name: str) -> None:
         self._track = track
+        self.name = name
         self.description = (
             f"velocity: {name}, slope of a cubic least-squares fit to the poses within "
             f"{HALF_WIDTH_S * 1000:.0f} ms"

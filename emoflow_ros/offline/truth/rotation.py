@@ -21,6 +21,7 @@ class ConstantRotation:
     def __init__(self, camera: Camera, angular: NDArray[np.float64], name: str) -> None:
         self._angular = angular
         self._camera = camera
+        self.name = name
         self.description = f"velocity and flow: {name}, constant rotation about the camera's centre"
 
     def twist(self, t: int) -> TrueTwist:
