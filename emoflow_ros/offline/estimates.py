@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 import emoflow_ros
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.tracks import INSTANTS
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.tracks import INSTANTS, Tracks
+from emoflow_ros.offline.tracks import Tracks
 
 FORMAT = "emoflow_ros/estimates"
 VERSION = 1

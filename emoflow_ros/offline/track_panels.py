@@ -7,11 +7,11 @@ from matplotlib.figure import Figure
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.flow_color import flow_to_rgb
+from emoflow_ros.core.tracks import INSTANTS, Points
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.figures import style
 from emoflow_ros.offline.gallery import Example
 from emoflow_ros.offline.iwe import warped_image
-from emoflow_ros.offline.tracks import INSTANTS, Points
 
 _COLORS = "plasma_r"
 _TRUTH = "#0b8043"

@@ -4,9 +4,10 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.tracks import INSTANTS
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
-from emoflow_ros.offline.tracks import INSTANTS, Tracks
+from emoflow_ros.offline.tracks import Tracks
 
 CAMERA = Camera(6, 4, 5.0, 5.0, 3.0, 2.0, "equidistant", (0.1, 0.2, 0.3, 0.4))
 T0 = 1_744_227_144_732_712_345  # a Unix time that float64 seconds cannot hold exactly
