@@ -1,0 +1,142 @@
+"""What profiles.py measured, as tables in Markdown."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks._scoring import SCENES
+
+_HEADS = (
+    "windows", "EPE, px", "EPE, static scene, px", "Out, %", "AE, deg", "RMS w, deg/s",
+    "v, deg", "s/window",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """One window under one profile; None where unknown.
+
+    Attributes:
+        index: of the window in its recording.
+        status, model: see Estimate.
+        epe_px, out_percent, ae_deg, true_px: see FlowErrors.
+        static_epe_px: EPE without the pixels of the moving object.
+        w_rms_deg_s: root mean square over the axes.
+        v_error_deg: angle between the directions, sign included.
+        seconds: estimate and flow image.
+        events, iterations, stop_reason: see Quality.
+    """
+
+    index: int
+    status: str
+    model: str
+    epe_px: float | None
+    static_epe_px: float | None
+    out_percent: float | None
+    ae_deg: float | None
+    true_px: float | None
+    w_rms_deg_s: float | None
+    v_error_deg: float | None
+    seconds: float
+    events: int
+    iterations: int
+    stop_reason: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a profile did on a recording.
+
+    Attributes:
+        profile, scene, seed: which.
+        rows: one per window.
+        configuration: all values of the profile.
+        where: machine, versions and the load before.
+    """
+
+    profile: str
+    scene: str
+    seed: int
+    rows: tuple[Row, ...]
+    configuration: dict[str, Any]
+    where: dict[str, Any]
+
+
+def table(cells: Sequence[Cell]) -> str:
+    """Lay out all windows of every profile, scene by scene."""
+    lines = [*_origin(cells), "", *_head("All windows")]
+    for scene, profile in _pairs(cells):
+        rows = [row for c in cells if (c.scene, c.profile) == (scene, profile) for row in c.rows]
+        lines.append(_line(scene, profile, rows))
+    return "\n".join(lines) + "\n"
+
+
+def paired_table(cells: Sequence[Cell]) -> str:
+    """Lay out every profile on the windows that a slow profile has, and on no others."""
+    by_window = {
+        (cell.profile, cell.scene, cell.seed, row.index): row for cell in cells for row in cell.rows
+    }
+    streamed = {cell.profile for cell in cells if len(cell.rows) > 1}
+    lines = []
+    for slow in dict.fromkeys(c.profile for c in cells if c.profile not in streamed):
+        lines += _head(f"The windows of {slow}")
+        for scene in SCENES:
+            chosen = sorted(key[1:] for key in by_window if key[:2] == (slow, scene))
+            for profile in dict.fromkeys(c.profile for c in cells):
+                keys = [(profile, *window) for window in chosen]
+                rows = [by_window[key] for key in keys if key in by_window]
+                if rows and len(rows) == len(keys):
+                    lines.append(_line(scene, profile, rows))
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _pairs(cells: Sequence[Cell]) -> Iterable[tuple[str, str]]:
+    """Scenes in their usual order, each with the profiles that have it."""
+    there = dict.fromkeys((cell.profile, cell.scene) for cell in cells)
+    return [(scene, profile) for scene in SCENES for profile, of in there if of == scene]
+
+
+def _origin(cells: Sequence[Cell]) -> list[str]:
+    machines = dict.fromkeys(
+        f"{c.where['machine']['processor']}, {c.where['machine']['cores']} cores, "
+        f"{c.where['machine']['memory']}" for c in cells
+    )  # fmt: skip
+    versions = dict.fromkeys(
+        ", ".join(f"{name} {version}" for name, version in c.where["versions"].items())
+        for c in cells
+    )
+    return [f"One thread; {'; '.join(machines)}. {'; '.join(versions)}."]
+
+
+def _head(title: str) -> list[str]:
+    heads = ("scene", "profile", *_HEADS)
+    return [f"{title}:", "", _markdown(heads), _markdown(["---"] * len(heads))]
+
+
+def _line(scene: str, profile: str, rows: Sequence[Row]) -> str:
+    seconds = _over(np.median, [row.seconds for row in rows])
+    figures = (
+        _over(np.mean, [row.epe_px for row in rows]),
+        _over(np.mean, [row.static_epe_px for row in rows]),
+        _over(np.mean, [row.out_percent for row in rows]),
+        _over(np.mean, [row.ae_deg for row in rows]),
+        _over(lambda rms: np.sqrt(np.mean(rms**2)), [row.w_rms_deg_s for row in rows]),
+        _over(np.median, [row.v_error_deg for row in rows]),
+    )
+    numbers = ["-" if value is None else f"{value:.2f}" for value in figures]
+    ok = sum(row.status == "ok" for row in rows)
+    count = str(len(rows)) if ok == len(rows) else f"{ok} of {len(rows)}"
+    return _markdown([scene, f"`{profile}`", count, *numbers, f"{seconds or 0:.3g}"])
+
+
+def _over(statistic: Callable[[Any], Any], values: Sequence[float | None]) -> float | None:
+    """Apply a statistic to the values that are known; None without any."""
+    known = np.array([value for value in values if value is not None])
+    return float(statistic(known)) if len(known) else None
+
+
+def _markdown(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
