@@ -18,7 +18,8 @@ _EPILOG = """\
 writes to DIR:
   NAME_data.bag          /davis/left/events, /davis/left/camera_info, /davis/left/imu
   NAME_gt.bag            /davis/left/depth_image_rect, /davis/left/pose
-  NAME_gt_flow_dist.npz  timestamps (s), x_flow_dist, y_flow_dist (px to the next stamp)
+  NAME_gt_flow_dist.npz  timestamps (s), x_flow_dist, y_flow_dist (px to the next stamp), moving
+                         (pixels that see an object of its own motion)
   NAME_calib.yaml        camera_info
 (with --format rosbag2 the bags are the folders NAME_data and NAME_gt)
 

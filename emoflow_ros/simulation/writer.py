@@ -102,18 +102,22 @@ def write_recording(
 def _write_flow(path: Path, recording: SimulatedRecording, progress: bool) -> None:
     """Write MVSEC's flow file: at each stamp the displacement to the stamp after it.
 
-    The last of the N stamps lies one period before the end of the recording, or less.
+    The last of the N stamps lies one period before the end of the recording, or less. Beyond
+    MVSEC's arrays, `moving` marks the pixels that see the independently moving object.
     """
     stamps = range(recording.t_start, recording.t_end, TRUTH_PERIOD)
     camera = recording.camera
     flow = np.empty((2, len(stamps), camera.height, camera.width), np.float32)
+    moving = np.empty(flow.shape[1:], np.bool_)
     for k, t in enumerate(tqdm(stamps, path.name, unit="flow", disable=not progress)):
+        moving[k] = recording.truth.moving_mask(t)
         flow[:, k] = np.moveaxis(recording.truth.displacement(t, t + TRUTH_PERIOD), -1, 0)
     np.savez(
         path,
         timestamps=np.array(stamps) / NS_PER_S,
         x_flow_dist=flow[0],
         y_flow_dist=flow[1],
+        moving=moving,
     )
 
 

@@ -122,12 +122,16 @@ class Maps:
 
     name = "test"
 
-    def __init__(self, maps):
+    def __init__(self, maps, moving=None):
         self.maps = [np.asarray(m, np.float32) for m in maps]
+        self._moving = moving
         self.stamps = 1000 + 100 * np.arange(len(maps), dtype=np.int64)
 
     def read(self, index):
         return self.maps[index]
+
+    def moving(self, index):
+        return None if self._moving is None else self._moving[index]
 
 
 def slow_propagation(maps, t0, t1) -> TrueFlow:
@@ -187,6 +191,17 @@ class TestPropagation:
             np.testing.assert_array_equal(ours.valid, slow.valid)
             np.testing.assert_allclose(ours.displacement, slow.displacement, atol=1e-5)
 
+    def test_what_meets_a_moving_object_moves(self):
+        """Two maps, 1 px to the right each; the object sits in column 3 first, in 5 then."""
+        masks = [np.zeros((2, 8), bool) for _ in range(3)]
+        masks[0][:, 3], masks[1][:, 5] = True, True
+        flow = PropagatedFlow(Maps([np.full((2, 8, 2), (1.0, 0.0))] * 3, masks))
+        moving = flow.displacement(1000, 1200).moving
+        np.testing.assert_array_equal(np.flatnonzero(moving[0]), [3, 4])
+        assert (
+            PropagatedFlow(Maps([np.ones((2, 2, 2))] * 2)).displacement(1000, 1100).moving is None
+        )
+
     @pytest.mark.parametrize(("t0", "t1"), [(999, 1050), (1050, 1101), (1050, 1050)])
     def test_nothing_outside_the_stamps(self, t0, t1):
         assert PropagatedFlow(Maps([np.ones((2, 2, 2))] * 2)).displacement(t0, t1) is None
@@ -206,6 +221,17 @@ class TestMvsecNpz:
         np.testing.assert_array_equal(maps.stamps[:2], [10_000_000_000, 10_050_000_000])
         for i in (0, 2, 1, 3):
             np.testing.assert_array_equal(maps.read(i), np.stack([x[i], -x[i]], -1))
+
+    def test_what_moves_is_read_where_the_file_tells(self, tmp_path):
+        path = tmp_path / "a_gt_flow_dist.npz"
+        self.write(path)
+        assert MvsecFlowMaps(path).moving(0) is None
+        masks = np.random.default_rng(0).random((2, 3, 4)) < 0.5
+        flow = np.ones((2, 3, 4))
+        np.savez(path, timestamps=[0.0, 0.1], x_flow_dist=flow, y_flow_dist=flow, moving=masks)
+        maps = MvsecFlowMaps(path)
+        for i in (1, 0):
+            np.testing.assert_array_equal(maps.moving(i), masks[i])
 
     def test_other_files_are_refused(self, tmp_path):
         path = tmp_path / "a.npz"

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.simulation.cameras import LENSES, davis346
+from emoflow_ros.simulation.recording import SimulatedRecording
 from emoflow_ros.simulation.scenes import SCENES, build_scene
 from emoflow_ros.simulation.truth import GroundTruth
 
@@ -108,6 +109,23 @@ def test_the_mover_moves_against_the_room(mover) -> None:
     difference = mover.truth.flow(t) - _rigid_flow(mover.truth, mover.camera, t)
     assert length(difference)[~mask].max() < 1e-8
     assert length(difference)[mask].min() > 10
+
+
+def test_calm_is_the_mover_s_scene_without_the_object(mover) -> None:
+    """With the same seed: what the object costs is the difference between the two."""
+    calm = GroundTruth(mover.camera, build_scene("calm", *_layout(mover)), mover.t_start)
+    for t in (mover.t_start, mover.t_start + 90 * MS):
+        for ours, same in zip(calm.twist(t), mover.truth.twist(t), strict=True):
+            np.testing.assert_array_equal(ours, same)
+        still = ~mover.truth.moving_mask(t)
+        np.testing.assert_array_equal(calm.depth(t)[still], mover.truth.depth(t)[still])
+        assert (calm.depth(t)[~still] > mover.truth.depth(t)[~still]).all()
+
+
+def _layout(recording: SimulatedRecording) -> tuple[float, np.random.Generator]:
+    """Length and generator that `simulate` lays a recording's scene out with."""
+    duration_s = (recording.t_end - recording.t_start) * 1e-9
+    return duration_s, np.random.default_rng(recording.seed).spawn(1)[0]
 
 
 def _rigid_flow(truth: GroundTruth, camera: Camera, t: int) -> NDArray[np.float64]:

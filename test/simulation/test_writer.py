@@ -137,13 +137,27 @@ def test_truth_bag_holds_rectified_depth_and_pose(quiet, written) -> None:
 
 def test_flow_file_is_shaped_as_mvsecs(quiet, written) -> None:
     with np.load(written.flow) as flow:
-        assert set(flow) == {"timestamps", "x_flow_dist", "y_flow_dist"}
+        assert set(flow) == {"timestamps", "x_flow_dist", "y_flow_dist", "moving"}
         np.testing.assert_allclose(flow["timestamps"] - 1.5e9, (0, 0.05, 0.1), atol=1e-6)
         assert flow["x_flow_dist"].shape == flow["y_flow_dist"].shape == (3, 60, 80)
         t = quiet.t_start + 50_000_000
         expected = quiet.truth.displacement(t, t + 50_000_000)
         np.testing.assert_allclose(flow["x_flow_dist"][1], expected[..., 0], atol=1e-4)
         np.testing.assert_allclose(flow["y_flow_dist"][1], expected[..., 1], atol=1e-4)
+        assert flow["moving"].dtype == bool
+        assert not flow["moving"].any()  # nothing moves by itself there
+
+
+def test_flow_file_marks_what_moves_by_itself(mover, tmp_path) -> None:
+    paths = OutputPaths.within(tmp_path, "mover", "rosbag1")
+    write_recording(mover, paths, "rosbag1")
+    with np.load(paths.flow) as flow:
+        marked = flow["moving"]
+    assert len(marked) >= 2
+    for k, mask in enumerate(marked):
+        truth = mover.truth.moving_mask(mover.t_start + k * 50_000_000)
+        np.testing.assert_array_equal(mask, truth)
+        assert 0.05 < mask.mean() < 0.2
 
 
 def command(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:

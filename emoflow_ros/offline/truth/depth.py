@@ -51,3 +51,7 @@ class DepthFlowMaps:
         with np.errstate(invalid="ignore"):
             flow = self._camera.project(points) - self._grid
         return flow.astype(np.float32)
+
+    def moving(self, index: int) -> NDArray[np.bool_] | None:
+        """Tell nothing: depth images do not show what moves."""
+        return None

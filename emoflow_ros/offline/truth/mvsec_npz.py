@@ -18,7 +18,8 @@ class MvsecFlowMaps:
     """Maps over the interval to the next stamp, in the distorted image.
 
     The arrays of a sequence take up to 16 GB, so that they are read map by map. Going forward
-    is free, going back decompresses the archive from its start.
+    is free, going back decompresses the archive from its start. The simulator's files tell
+    which pixels see a moving object, in a further array `moving` (N, H, W).
 
     Raises:
         InputError: not such a file.
@@ -30,7 +31,9 @@ class MvsecFlowMaps:
         try:
             with zipfile.ZipFile(path) as archive, archive.open("timestamps.npy") as file:
                 seconds = np.lib.format.read_array(file)
+                told = "moving.npy" in archive.namelist()
             self._columns = [_Frames(path, f"{part}.npy") for part in _PARTS[1:]]
+            self._moving = _Frames(path, "moving.npy") if told else None
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             reason = " ".join(str(error).split())
             raise InputError(path, f"not a flow ground truth ({reason})", _FIX) from None
@@ -42,8 +45,15 @@ class MvsecFlowMaps:
 
     def read(self, index: int) -> NDArray[np.float32]:
         """Read map `index`, (H, W, 2) px; 0 where unknown."""
+        return np.stack([self._read(column, index) for column in self._columns], axis=-1)
+
+    def moving(self, index: int) -> NDArray[np.bool_] | None:
+        """Read which pixels (H, W) see an object of its own motion; None if the file is silent."""
+        return None if self._moving is None else self._read(self._moving, index) != 0
+
+    def _read(self, frames: "_Frames", index: int) -> NDArray[np.float32]:
         try:
-            return np.stack([column.read(index) for column in self._columns], axis=-1)
+            return frames.read(index)
         except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
             reason = " ".join(str(error).split())
             raise InputError(self._path, f"damaged ({reason})", "download it again") from None
