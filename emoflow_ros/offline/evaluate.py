@@ -7,23 +7,27 @@ from collections.abc import Sequence as Ordered
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from emoflow_ros import cli
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.errors import InputError
 from emoflow_ros.offline import compare
 from emoflow_ros.offline.ablation import ABLATIONS, ablate, table_of, variants_of
+from emoflow_ros.offline.arguments import (
+    Source,
+    add_configuration_options,
+    add_recording_options,
+    make_folder,
+    overrides,
+    positive,
+)
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.evaluation import Evaluation, proceed
 from emoflow_ros.offline.protocols import PROTOCOLS, WINDOWS, Plan, make_plan
 from emoflow_ros.offline.provenance import versions
-from emoflow_ros.offline.readers import Recording, open_recording, require_camera
-from emoflow_ros.offline.readers.bag import BagRecording
+from emoflow_ros.offline.readers import require_camera
 from emoflow_ros.offline.report import write_report
-from emoflow_ros.offline.sequences import Sequence, find_sequence
+from emoflow_ros.offline.sequences import find_sequence
 from emoflow_ros.offline.summary import summarise
 from emoflow_ros.offline.tracks import Tracker
 from emoflow_ros.offline.truth import load_truth
@@ -78,40 +82,13 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         help="ground truth: bags with poses and depth, MVSEC's *_gt_flow_dist.npz, ECD's "
         "motion.txt or groundtruth.txt (default: what lies in an ECD folder)",
     )
-    add(
-        "--calib",
-        type=Path,
-        metavar="FILE",
-        help="calibration: camera_info YAML or ECD calib.txt (default: the recording's own)",
-    )
-    add("--topic", metavar="T", help="event topic, where the recording has several")
-    add("--profile", default="realtime", metavar="NAME", help="configuration (default: realtime)")
+    add_recording_options(parser)
+    add_configuration_options(parser)
     add(
         "--protocol",
         default=WINDOWS,
         choices=PROTOCOLS,
         help="which intervals are compared (docs/evaluation.md; default: windows)",
-    )
-    add(
-        "--sequence",
-        metavar="NAME",
-        help="a benchmark's sequence: sets calibration, event topic, frames and crop, for example "
-        "indoor_flying1",
-    )
-    add("--window-ms", type=float, metavar="MS", help="length of a window (default: the profile's)")
-    add(
-        "--stride-ms",
-        type=float,
-        metavar="MS",
-        help="from one window's start to the next one's (default: the window's length)",
-    )
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        dest="overrides",
-        help="any option by its dotted name, for example estimator.max_events=20000; repeatable",
     )
     add(
         "--out",
@@ -127,7 +104,7 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
     add("--save-flow", action="store_true", help="store the dense flow of each window, too")
     add(
         "--tracks",
-        type=_positive,
+        type=positive,
         default=0,
         metavar="N",
         help="carry N points along the flow: drawn in the report, stored in estimates.h5",
@@ -137,21 +114,22 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         choices=ABLATIONS,
         help="then evaluate again with this part of the method changed, on the same windows",
     )
-    add("--max-windows", type=_positive, metavar="N", help="stop after N windows")
+    add("--max-windows", type=positive, metavar="N", help="stop after N windows")
     return parser.parse_args(arguments)
 
 
 def _run(options: argparse.Namespace) -> int:
-    config = load_config(options.profile, _overrides(options))
+    config = load_config(options.profile, overrides(options))
     if options.ablate:
         variants_of(options.ablate, config)  # refused before anything is estimated
     sequence = find_sequence(options.sequence) if options.sequence else None
     folder = options.out or Path("out") / options.input.resolve().stem
-    with _open(options, sequence) as recording:
+    source = Source(options.input, options.topic, options.calib, sequence)
+    with source.open() as recording:
         camera = require_camera(recording)
         truth = load_truth(recording, options.gt)
         plan = make_plan(options.protocol, recording, truth, config.window, sequence)
-        _make_folder(folder)
+        make_folder(folder)
         checkpoint = Checkpoint(folder / "checkpoint.pickle", _identity(options, config, plan))
         done = checkpoint.load() if options.resume else None
         progress = done or Progress(
@@ -217,50 +195,6 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
         "number of --tracks": options.tracks,
         "version": versions(),
     }
-
-
-def _open(options: argparse.Namespace, sequence: Sequence | None) -> Recording:
-    """Open the recording; what a sequence prescribes yields to what the user says."""
-    topic = options.topic
-    if sequence and topic is None and BagRecording.matches(options.input):
-        topic = sequence.topic
-    recording = open_recording(options.input, topic=topic, calibration=options.calib)
-    if sequence and options.calib is None:
-        recording.camera = sequence.camera
-    return recording
-
-
-def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    """Collect option values by dotted name; --set counts after the shorthands."""
-    values: dict[str, Any] = {}
-    if options.window_ms is not None:
-        values["window.duration_ms"] = options.window_ms
-    if options.stride_ms is not None:
-        values["window.stride_ms"] = options.stride_ms
-    for text in options.overrides:
-        name, equals, value = text.partition("=")
-        if not equals or not name:
-            raise InputError(f"--set {text}", "not of the form NAME=VALUE", "write name=value")
-        try:
-            values[name] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise InputError(f"--set {text}", "not a value", "write a number or a word") from None
-    return values
-
-
-def _positive(text: str) -> int:
-    """Parse a count of at least 1, for argparse."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a number of at least 1")
-    return int(text)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(folder, f"cannot be made ({reason})", "give another --out") from None
 
 
 def _print_summary(run: Evaluation, report: Path) -> None:

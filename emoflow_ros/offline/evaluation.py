@@ -137,6 +137,23 @@ def proceed(
     return run
 
 
+def attempt(estimator: Estimator, window: Window) -> tuple[Estimate, str]:
+    """Estimate a window; an exception costs no other window.
+
+    Returns:
+        The estimate and an empty note, or one without values (`diverged`) and the exception in
+        words. The next window starts cold then.
+    """
+    try:
+        return estimator.estimate(window), ""
+    except Exception as error:
+        estimator.reset()
+        quality = Quality(events=len(window.events), stop_reason=Status.DIVERGED)
+        middle = (window.t_start + window.t_end) // 2
+        nothing = Estimate(window.t_start, window.t_end, middle, Status.DIVERGED, quality)
+        return nothing, f"{type(error).__name__}: {error}"
+
+
 def _windows(recording: Recording, progress: Progress) -> Iterator[Window]:
     """Yield the windows that are left, the pending ones first.
 
@@ -177,13 +194,7 @@ def _process(
     progress: Progress, window: Window, truth: Truth, writer: EstimatesWriter | None
 ) -> None:
     """Estimate and assess the first pending window."""
-    note = ""
-    try:
-        estimate = progress.estimator.estimate(window)
-    except Exception as error:  # one window must not cost the others
-        note = f"{type(error).__name__}: {error}"
-        estimate = _no_estimate(window)
-        progress.estimator.reset()
+    estimate, note = attempt(progress.estimator, window)
     tracker = progress.tracker
     tracks = tracker.follow(estimate, truth) if tracker else None
     track_errors = tracks.errors if tracks else None
@@ -193,16 +204,6 @@ def _process(
     progress.gallery.offer(window, estimate, result, tuple(tracker.recent) if tracker else ())
     progress.windows.append(result)
     progress.pending.popleft()
-
-
-def _no_estimate(window: Window) -> Estimate:
-    return Estimate(
-        t_start=window.t_start,
-        t_end=window.t_end,
-        t=(window.t_start + window.t_end) // 2,
-        status=Status.DIVERGED,
-        quality=Quality(events=len(window.events), stop_reason=Status.DIVERGED),
-    )
 
 
 def _progress_line(run: Evaluation) -> str:

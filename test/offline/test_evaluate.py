@@ -3,6 +3,7 @@
 import pytest
 
 from emoflow_ros.offline import evaluate
+from emoflow_ros.offline.arguments import overrides
 
 
 def call(monkeypatch, *arguments):
@@ -85,7 +86,7 @@ def test_stride_and_overrides_reach_the_configuration():
     options = evaluate._parse(
         ["x", "--window-ms", "50", "--stride-ms", "25", "--set", "estimator.max_events=2000"]
     )
-    assert evaluate._overrides(options) == {
+    assert overrides(options) == {
         "window.duration_ms": 50.0,
         "window.stride_ms": 25.0,
         "estimator.max_events": 2000,
