@@ -102,6 +102,7 @@ def window_row(window: WindowResult) -> dict[str, Any]:
         "rate_ratio": window.rate_ratio,
         "direction_error_deg": window.direction_error_deg,
         "epe_px": window.flow.epe_px if window.flow else None,
+        "static_epe_px": window.static_flow.epe_px if window.static_flow else None,
         "out_percent": window.flow.pe3 if window.flow else None,
         "ae_deg": window.flow.ae_deg if window.flow else None,
         "true_displacement_px": window.flow.truth_px if window.flow else None,
