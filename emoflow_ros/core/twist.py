@@ -1,4 +1,4 @@
-"""Twists of a window at chosen times, and at a known speed."""
+"""Twists of a window at chosen times, at a known speed, in another frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ _MOST_SAMPLES = 10_000  # of one window, however long it is
 
 @dataclass(frozen=True)
 class Twist:
-    """Motion of the camera at one time, in its optical frame.
+    """Motion of the camera at one time, in its optical frame or one that is fixed to it.
 
     Attributes:
         t: event time, ns.
@@ -31,6 +31,14 @@ class Twist:
         """Return the twist of a camera that moves at this speed (m/s)."""
         return replace(self, linear=speed * self.linear)
 
+    def in_frame(self, rotation: NDArray[np.float64]) -> "Twist":
+        """Express the same motion of the same point, the camera's centre, along other axes.
+
+        Args:
+            rotation: (3, 3), from the axes of this twist to the others.
+        """
+        return replace(self, linear=rotation @ self.linear, angular=rotation @ self.angular)
+
 
 def covariance_at_speed(covariance: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
     """Scale the (6, 6) covariance of (direction, angular) to a speed (m/s) that is known exactly.
@@ -41,6 +49,21 @@ def covariance_at_speed(covariance: NDArray[np.float64], speed: float) -> NDArra
         return covariance
     scale = np.array([speed] * 3 + [1.0] * 3)
     return covariance * np.outer(scale, scale)
+
+
+def covariance_in_frame(
+    covariance: NDArray[np.float64], rotation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Express the (6, 6) covariance of (linear, angular) along other axes, as `Twist.in_frame`.
+
+    One that says that translation is not observable ([0, 0] is -1) goes on saying so; the
+    angular part is rotated.
+    """
+    both = np.kron(np.eye(2), rotation)
+    rotated: NDArray[np.float64] = both @ covariance @ both.T
+    if covariance[0, 0] < 0:
+        rotated[:3], rotated[:, :3] = covariance[:3], covariance[:, :3]
+    return rotated
 
 
 def grid_times(t_start: int, t_end: int, rate: float, after: int) -> list[int]:
