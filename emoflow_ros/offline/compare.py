@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import wilcoxon
 
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.bootstrap import bootstrap_interval, paired_p_value
 from emoflow_ros.offline.document import write_json
 from emoflow_ros.offline.figures import runs_over_time
 from emoflow_ros.offline.html import render, svg_uri
-from emoflow_ros.offline.summary import bootstrap_interval
 
 _TEMPLATE = "comparison.html.j2"
 # Errors per window: name in report.json, label, unit; less is better.
@@ -53,7 +52,8 @@ class Difference:
         windows: how many pairs.
         first, mean: the error of the first run and of this one, averaged over the pairs.
         difference, low, high: mean difference with its 95 % bootstrap interval.
-        p: two-sided p-value of Wilcoxon's signed-rank test; NaN with fewer than two pairs.
+        p: two-sided p-value of the mean difference, by paired bootstrap over windows; NaN with
+            fewer than two pairs.
     """
 
     name: str
@@ -198,11 +198,5 @@ def _difference(
         difference=float(change.mean()),
         low=low,
         high=high,
-        p=_p_value(change),
+        p=paired_p_value(change),
     )
-
-
-def _p_value(change: NDArray[np.float64]) -> float:
-    if len(change) < 2:
-        return float("nan")
-    return float(wilcoxon(change).pvalue) if change.any() else 1.0

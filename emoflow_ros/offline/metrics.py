@@ -56,17 +56,17 @@ class FlowErrors:
     pixels: int
 
 
-def flow_errors(flow: Flow, truth: Flow, mask: Mask) -> FlowErrors | None:
-    """Compare a displacement with the true one, both (H, W, 2) px, over a mask (H, W).
+def flow_errors(flow: Flow, truth: Flow) -> FlowErrors | None:
+    """Compare displacements with the true ones, both (N, 2) px: one row per compared pixel.
 
     Returns:
-        None where no pixel of the mask has an estimate.
+        None where no pixel has an estimate.
     """
-    mask = mask & np.isfinite(flow).all(axis=-1)
-    if not mask.any():
+    known = np.isfinite(flow).all(axis=-1)
+    if not known.any():
         return None
-    ours, true = flow[mask].astype(np.float64), truth[mask].astype(np.float64)
-    errors = np.linalg.norm(ours - true, axis=-1)
+    ours, true = flow[known].astype(np.float64), truth[known].astype(np.float64)
+    errors = end_point_error(ours, true)
     above = [100.0 * float((errors > px).mean()) for px in (1.0, 2.0, OUTLIER_PX)]
     return FlowErrors(
         epe_px=float(errors.mean()),
@@ -74,20 +74,22 @@ def flow_errors(flow: Flow, truth: Flow, mask: Mask) -> FlowErrors | None:
         pe2=above[1],
         pe3=above[2],
         ae_deg=float(space_time_angle_deg(ours, true).mean()),
-        truth_px=float(np.linalg.norm(true, axis=-1).mean()),
+        truth_px=float(np.hypot(*true.T).mean()),
         pixels=len(errors),
     )
 
 
 def end_point_error(flow: Flow, truth: Flow) -> Flow:
     """Length of the difference of two displacements (..., 2), px."""
-    return np.asarray(np.linalg.norm(flow - truth, axis=-1))
+    difference = flow - truth
+    return np.asarray(np.hypot(difference[..., 0], difference[..., 1]))
 
 
 def space_time_angle_deg(flow: Vectors, truth: Vectors) -> Vectors:
     """Angle between (u, v, 1) and (u', v', 1) for displacements (N, 2), in degrees."""
-    ones = np.ones((len(flow), 1))
-    return angle_deg(np.hstack([flow, ones]), np.hstack([truth, ones]))
+    (u, v), (a, b) = flow.T, truth.T
+    sine = np.sqrt((v - b) ** 2 + (a - u) ** 2 + (u * b - v * a) ** 2)
+    return np.asarray(np.degrees(np.arctan2(sine, u * a + v * b + 1)))
 
 
 def angle_deg(a: Vectors, b: Vectors) -> Vectors:

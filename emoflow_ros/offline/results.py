@@ -45,6 +45,8 @@ class WindowResult:
         tracks: errors of the point tracks at the window's end, where points are tracked.
         static_flow: `flow` without the pixels of objects that move by themselves, where the
             truth knows of one in the image.
+        other_truths: the velocity that each of Truth.other_twists says.
+        pose: true world-from-camera (4, 4) at the window's middle, where known.
     """
 
     index: int
@@ -62,6 +64,13 @@ class WindowResult:
     note: str = ""
     tracks: TrackErrors | None = None
     static_flow: FlowErrors | None = None
+    other_truths: tuple[TrueTwist | None, ...] = ()
+    pose: NDArray[np.float64] | None = None
+
+    @property
+    def t(self) -> int:
+        """The window's middle, ns: the time that the velocities hold at."""
+        return (self.t_start + self.t_end) // 2
 
     @property
     def ok(self) -> bool:
@@ -109,11 +118,17 @@ class WindowResult:
         return np.asarray(speed * self.linear - self.truth.linear)
 
     @property
-    def turned_linear_error(self) -> Vector:
-        """The same with our direction turned round where the truth points the other way."""
-        if not self.direction_error_deg > 90:
-            return self.scaled_linear_error
-        return replace(self, linear=-self.linear).scaled_linear_error
+    def borrowed_linear_error(self) -> Vector:
+        """The same with the sign of every axis taken from the truth, too, as the paper does."""
+        if self.truth is None or self.truth.linear is None:
+            return np.full(3, np.nan)
+        speed = np.linalg.norm(self.truth.linear)
+        borrowed = speed * np.abs(self.linear) * np.sign(self.truth.linear)
+        return np.asarray(borrowed - self.truth.linear)
+
+    def against(self, truth: TrueTwist | None) -> "WindowResult":
+        """The same window, its velocities compared with another truth."""
+        return replace(self, truth=truth)
 
 
 def assess(
@@ -150,7 +165,13 @@ def assess(
         note=note,
         tracks=tracks,
         static_flow=static_flow,
+        other_truths=tuple(source.twist(estimate.t) for source in truth.other_twists),
+        pose=_true_pose(truth, estimate.t),
     )
+
+
+def _true_pose(truth: Truth, t: int) -> NDArray[np.float64] | None:
+    return truth.poses.transform(t) if truth.poses and truth.poses.covers(t) else None
 
 
 def comparison_mask(window: Window, true_flow: TrueFlow) -> Mask:
@@ -169,9 +190,12 @@ def _compare_flow(
     true_flow = truth.flows.displacement(window.t_start, window.t_end)
     if true_flow is None:
         return None, None
-    flow = estimate.flow.displacement(window.t_start, window.t_end)
-    true, mask = true_flow.displacement, comparison_mask(window, true_flow)
-    errors = flow_errors(flow, true, mask)
+    rows, columns = np.nonzero(comparison_mask(window, true_flow))
+    pixels = np.stack([columns, rows], axis=-1).astype(np.float64)
+    ours = estimate.flow.tracks(pixels, (window.t_start, window.t_end))[1] - pixels
+    true = true_flow.displacement[rows, columns]
+    errors = flow_errors(ours, true)
     if true_flow.moving is None or not true_flow.moving.any():
         return errors, None
-    return errors, flow_errors(flow, true, mask & ~true_flow.moving)
+    static = ~true_flow.moving[rows, columns]
+    return errors, flow_errors(ours[static], true[static])
