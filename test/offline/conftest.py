@@ -101,8 +101,9 @@ def _write_event_bag(
     size: tuple[int, int] = (32, 24),
     with_info: bool = True,
     storage: str = "ros1",
+    log_times: list[int] | None = None,
 ) -> Path:
-    """Write a bag: `storage` is ros1, sqlite3 or mcap."""
+    """Write a bag: `storage` is ros1, sqlite3 or mcap, `log_times` are in ns."""
     ros1 = storage == "ros1"
     types = _store(ros1)
     if ros1:
@@ -115,7 +116,7 @@ def _write_event_bag(
             connection = writer.add_connection(topic, EVENT_ARRAY, typestore=types)
             for i, events in enumerate(batches):
                 data = _event_array_bytes(events, *size, ros1)
-                writer.write(connection, NS_PER_S + i, data)
+                writer.write(connection, log_times[i] if log_times else NS_PER_S + i, data)
         if with_info:
             _write_info(writer, types, topics[0] if topics else "/cam/events", size, ros1)
     return path

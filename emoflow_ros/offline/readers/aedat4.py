@@ -36,9 +36,9 @@ class Aedat4Recording(FileRecording):
         """Whether the path is a file of this format."""
         return path.suffix == ".aedat4" and path.is_file()
 
-    def event_chunks(self) -> Iterator[Events]:
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, one packet of the file at a time."""
-        return self.checked(self._decode())
+        return self.checked(self._decode(), since)
 
     def _decode(self) -> Iterator[Events]:
         packets = iter(self._open())

@@ -17,13 +17,15 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck
-from msg_adapters import DecodeError, make_decoder, supported_types
+from emoflow_ros.offline.readers.bag_entry import log_time_before
+from emoflow_ros.offline.readers.base import StreamCheck, trimmed
+from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
 _STORAGE_SUFFIXES = (".db3", ".mcap")
 _MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 _SQLITE_HEADER = 100
 _ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
+_STANDALONE = "/EventArray"  # times do not depend on messages before
 _REPAIR = {
     ".bag": "repair it with 'rosbag reindex' or copy it again",
     ".db3": "repair it with 'ros2 bag reindex' or copy it again",
@@ -55,23 +57,40 @@ class BagRecording:
         """Whether the path looks like a bag: by its suffix, or a folder with storage files."""
         return path.suffix in _MAGIC or (path / "metadata.yaml").is_file() or any(_storage(path))
 
-    def event_chunks(self) -> Iterator[Events]:
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, one message at a time."""
-        decoder = make_decoder(self._connection.msgtype, serialization(self._bag))
+        start = None
+        if since is not None and self._connection.msgtype.endswith(_STANDALONE):
+            start = log_time_before(since, self._first_event)
+        return trimmed(self._checked(start), since)
+
+    def _checked(self, start: int | None) -> Iterator[Events]:
         check: StreamCheck | None = None
-        for _, _, data in read_messages(self.path, self._bag, [self._connection]):
-            try:
-                message = decoder.decode(data)
-            except DecodeError as error:
-                raise InputError(
-                    self.path, f"damaged message on {self.topic} ({error})", "record it again"
-                ) from None
+        for _, message in self._decode(start):
             if check is None:
                 check = StreamCheck(self.path, *self._sensor_size(message.width, message.height))
             yield check(message.events, message.dropped_outside)
         if check is None:
             raise InputError(self.path, f"no messages on {self.topic}", "record it again")
         check.finish()
+
+    def _decode(self, start: int | None) -> Iterator[tuple[int, EventMessage]]:
+        """Decode the messages logged at or after a time in ns, each with its log time."""
+        decoder = make_decoder(self._connection.msgtype, serialization(self._bag))
+        for _, logged, data in read_messages(self.path, self._bag, [self._connection], start):
+            try:
+                yield logged, decoder.decode(data)
+            except DecodeError as error:
+                raise InputError(
+                    self.path, f"damaged message on {self.topic} ({error})", "record it again"
+                ) from None
+
+    def _first_event(self, start: int | None) -> tuple[int, int] | None:
+        """Log and event time of the first event logged at or after a time, ns."""
+        for logged, message in self._decode(start):
+            if len(message.events):
+                return logged, int(message.events.t[0])
+        return None
 
     def __enter__(self) -> Self:
         return self
@@ -158,14 +177,16 @@ def open_bag(path: Path) -> Generator[AnyReader]:
 
 
 def read_messages(
-    path: Path, reader: AnyReader, connections: list[Connection]
+    path: Path, reader: AnyReader, connections: list[Connection], start: int | None = None
 ) -> Iterator[tuple[Connection, int, bytes]]:
     """Stream (connection, log time in ns, bytes) of an opened bag in order of log time.
+
+    With `start` only what was logged at or after that time, ns.
 
     Raises:
         InputError: damaged data.
     """
-    messages = reader.messages(connections=connections)
+    messages = reader.messages(connections=connections, start=start)
     while True:
         try:
             item = next(messages)

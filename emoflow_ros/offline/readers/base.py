@@ -1,9 +1,11 @@
 """What every reader offers, and the checks that all of them share."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
+
+import numpy as np
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
@@ -30,8 +32,12 @@ class Recording(Protocol):
     camera: Camera | None
     duration: float | None
 
-    def event_chunks(self) -> Iterator[Events]:
-        """Stream the events from the start, in order of time, in chunks that fit in memory.
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
+        """Stream the events in order of time, in chunks that fit in memory.
+
+        Args:
+            since: leave out the events before this time, ns. Formats that can be entered in the
+                middle are not read from the start then.
 
         Raises:
             InputError: damaged data, times that go backwards, events outside the sensor.
@@ -46,6 +52,15 @@ class Recording(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:
+    """Leave out the events before a time in ns."""
+    for events in chunks:
+        if since is None:
+            yield events
+        elif len(events) and events.t[-1] >= since:
+            yield events[int(np.searchsorted(events.t, since)) :]
 
 
 def require_camera(recording: Recording) -> Camera:

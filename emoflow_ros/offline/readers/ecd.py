@@ -1,5 +1,6 @@
 """Reader of the Event-Camera Dataset's folders (Mueggler et al., IJRR 2017)."""
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
@@ -13,7 +14,7 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck
+from emoflow_ros.offline.readers.base import StreamCheck, trimmed
 
 _EVENTS = "events.txt"
 _CHUNK_BYTES = 4 << 20  # about 200 000 events
@@ -44,12 +45,17 @@ class EcdRecording:
         """Whether the path is a folder of this format."""
         return (path / _EVENTS).is_file()
 
-    def event_chunks(self) -> Iterator[Events]:
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, some 200 000 at a time."""
+        return trimmed(self._read(0 if since is None else self._byte_before(since)), since)
+
+    def _read(self, start: int) -> Iterator[Events]:
+        """Read from the line on that begins at a byte."""
         camera = self.camera
         size = (camera.width, camera.height) if camera else (_OUTSIDE, _OUTSIDE)
         check = StreamCheck(self._file, *size)
         with self._file.open(encoding="ascii") as lines:
+            lines.seek(start)
             while text := lines.read(_CHUNK_BYTES):
                 yield check(self._parse(text + lines.readline()))
         check.finish()
@@ -64,6 +70,23 @@ class EcdRecording:
         trace: TracebackType | None,
     ) -> None:
         """Nothing is held open between calls."""
+
+    def _byte_before(self, since: int) -> int:
+        """Find the start of a line before the first one at or after a time, by bisection."""
+        with self._file.open("rb") as file:
+
+            def line_after(byte: int) -> int:
+                file.seek(byte)
+                file.readline()
+                return file.tell()
+
+            def is_late(byte: int) -> bool:
+                file.seek(line_after(byte))
+                line = file.readline()
+                return not line.strip() or int(self._parse(_text(self._file, line)).t[0]) >= since
+
+            byte = bisect_left(range(self._file.stat().st_size), True, key=is_late)
+            return line_after(byte - 1) if byte else 0
 
     def _measure(self) -> float:
         """Length in seconds from the first and the last line."""

@@ -9,7 +9,7 @@ from typing import Self
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck
+from emoflow_ros.offline.readers.base import StreamCheck, trimmed
 
 _ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
 
@@ -45,15 +45,14 @@ class FileRecording:
     ) -> None:
         self.stack.close()
 
-    def checked(self, chunks: Iterable[Events]) -> Iterator[Events]:
-        """Pass the chunks on, checked against the sensor's size and for order.
+    def checked(self, chunks: Iterable[Events], since: int | None = None) -> Iterator[Events]:
+        """Pass the events from a time on, checked against the sensor's size and for order.
 
         Raises:
             InputError: the calibration is of another size, or see StreamCheck.
         """
         check = StreamCheck(self.path, *self._sensor_size())
-        for events in chunks:
-            yield check(events)
+        yield from trimmed(map(check, chunks), since)
         check.finish()
 
     def _sensor_size(self) -> tuple[int, int]:

@@ -1,6 +1,7 @@
 """What the readers of HDF5 data sets share."""
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -39,6 +40,17 @@ def holds(path: Path, names: Sequence[str]) -> bool:
         return False
     with open_hdf5(path) as file:
         return all(isinstance(file.get(name), h5py.Dataset) for name in names)
+
+
+def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:
+    """Find the last row before a time, by bisection; row 0 where there is none.
+
+    Args:
+        rows: how many there are, in order of time.
+        time: the time of a row, ns.
+        since: the time, ns; None for row 0.
+    """
+    return 0 if since is None else max(0, bisect_left(range(rows), since, key=time) - 1)
 
 
 def refuse(path: Path, error: Exception) -> NoReturn:

@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers.file_recording import FileRecording
-from emoflow_ros.offline.readers.hdf5 import CHUNK, holds, open_hdf5, refuse
+from emoflow_ros.offline.readers.hdf5 import CHUNK, holds, open_hdf5, refuse, row_before
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")
@@ -47,16 +48,20 @@ class MvsecRecording(FileRecording):
         """Whether the path is a file of this format."""
         return holds(path, [_LEFT])
 
-    def event_chunks(self) -> Iterator[Events]:
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, a million at a time."""
-        return self.checked(self._read())
+        return self.checked(self._read(since), since)
 
-    def _read(self) -> Iterator[Events]:
-        for first in range(0, len(self._table), CHUNK):
-            try:
+    def _read(self, since: int | None) -> Iterator[Events]:
+        try:
+            start = row_before(len(self._table), lambda row: int(_ns(self._table[row, _T])), since)
+            for first in range(start, len(self._table), CHUNK):
                 rows = self._table[first : first + CHUNK]
-            except OSError as error:
-                refuse(self.path, error)
-            t = np.rint(rows[:, _T] * NS_PER_S).astype(np.int64)
-            x, y = rows[:, _X].astype(np.uint16), rows[:, _Y].astype(np.uint16)
-            yield Events(x, y, t, rows[:, _P] > 0)
+                x, y = rows[:, _X].astype(np.uint16), rows[:, _Y].astype(np.uint16)
+                yield Events(x, y, _ns(rows[:, _T]), rows[:, _P] > 0)
+        except OSError as error:
+            refuse(self.path, error)
+
+
+def _ns(seconds: Any) -> Any:
+    return np.rint(seconds * NS_PER_S).astype(np.int64)

@@ -53,9 +53,9 @@ class NpzRecording(FileRecording):
         """Whether the path is a file of this format."""
         return path.suffix == ".npz" and path.is_file()
 
-    def event_chunks(self) -> Iterator[Events]:
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Yield all events at once: the archive is in memory."""
-        return self.checked([self._events])
+        return self.checked([self._events], since)
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]]:

@@ -41,9 +41,9 @@ class PropheseeRawRecording(FileRecording):
         """Whether the path is a file of this format."""
         return path.suffix == ".raw" and path.is_file()
 
-    def event_chunks(self) -> Iterator[Events]:
+    def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, a megabyte of words at a time."""
-        return self.checked(self._decode())
+        return self.checked(self._decode(), since)
 
     def _decode(self) -> Iterator[Events]:
         decoder = make_packet_decoder(self.encoding, Statistics())
