@@ -1,4 +1,4 @@
-"""A quick picture of a window's warped events, for people to watch live."""
+"""Pictures of a window's warped events, for people to look at."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,23 @@ def sharpened_events(
     Returns:
         (height, width), black without events, white at their 99th percentile per pixel.
     """
-    moved = _carried(_thinned(window.events), window, flow, t)
+    thinned = Window(window.t_start, window.t_end, _thinned(window.events))
+    counts = warped_counts(thinned, flow, t, width, height)
+    white = np.quantile(counts[counts > 0], _WHITE) if counts.any() else 1.0
+    return np.rint(np.minimum(counts / white, 1) * 255).astype(np.uint8)
+
+
+def warped_counts(
+    window: Window, flow: FlowSampler, t: int, width: int, height: int
+) -> NDArray[np.int64]:
+    """Count the events per pixel where the flow carries them at time t (ns), (height, width).
+
+    Each goes to its nearest pixel; those that leave the image are not counted.
+    """
+    moved = _carried(window.events, window, flow, t)
     moved = np.rint(moved[np.isfinite(moved).all(axis=1)]).astype(np.int64)
     x, y = moved[((moved >= 0) & (moved < (width, height))).all(axis=1)].T
-    counts = np.bincount(y * width + x, minlength=width * height)
-    white = np.quantile(counts[counts > 0], _WHITE) if counts.any() else 1.0
-    grey = np.rint(np.minimum(counts / white, 1) * 255)
-    return grey.astype(np.uint8).reshape(height, width)
+    return np.bincount(y * width + x, minlength=width * height).reshape(height, width)
 
 
 def _thinned(events: Events) -> Events:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
 from emoflow_ros.core.flow_color import color_wheel, flow_to_rgb
+from emoflow_ros.core.sharpened import warped_counts
 from emoflow_ros.offline.figures import style
 from emoflow_ros.offline.gallery import Example
-from emoflow_ros.offline.iwe import event_image, warped_image
 from emoflow_ros.offline.metrics import end_point_error
 from emoflow_ros.offline.truth import TrueFlow, Truth
 
@@ -73,10 +73,11 @@ def _error_map(figure: Figure, ax: Axes, error: NDArray[np.floating]) -> None:
 
 def _events(left: Axes, right: Axes, example: Example, flow: FlowSampler, camera: Camera) -> None:
     """Events before and after the warp on one grey scale, so that sharpness can be compared."""
-    size = camera.width, camera.height
-    before = event_image(example.window.events, *size)
-    window = example.window
-    after = warped_image(window, flow, (window.t_start + window.t_end) // 2, *size)
+    window, size = example.window, (camera.width, camera.height)
+    cells = window.events.y.astype(np.int64) * camera.width + window.events.x
+    counts = np.bincount(cells, minlength=camera.width * camera.height)
+    before = counts.reshape(camera.height, camera.width)
+    after = warped_counts(window, flow, (window.t_start + window.t_end) // 2, *size)
     limit = float(np.percentile(after[after > 0], 99.5)) if (after > 0).any() else 1.0
     for ax, image, title in (
         (left, before, "Events before the warp"),

@@ -7,11 +7,11 @@ from matplotlib.figure import Figure
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.flow_color import flow_to_rgb
+from emoflow_ros.core.sharpened import warped_counts
 from emoflow_ros.core.tracks import INSTANTS, Points
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.figures import style
 from emoflow_ros.offline.gallery import Example
-from emoflow_ros.offline.iwe import warped_image
 
 _COLORS = "plasma_r"
 _TRUTH = "#0b8043"
@@ -25,7 +25,7 @@ def track_panels(example: Example, camera: Camera) -> Figure:
     paths, ages = _paths(example)
     figure = Figure(figsize=(10, 5 * camera.height / camera.width + 1.3), layout="constrained")
     left, right = figure.subplots(1, 2)
-    sharp = warped_image(window, flow, window.t_end, camera.width, camera.height)
+    sharp = warped_counts(window, flow, window.t_end, camera.width, camera.height)
     limit = 2.0 * float(np.percentile(sharp[sharp > 0], 99)) if (sharp > 0).any() else 1.0
     left.imshow(sharp, cmap="gray_r", vmin=0, vmax=limit)
     colors = flow_to_rgb(flow.displacement(window.t_start, window.t_end))

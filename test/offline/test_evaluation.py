@@ -9,12 +9,12 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
+from emoflow_ros.core.sharpened import warped_counts
+from emoflow_ros.core.windows import Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import evaluate
 from emoflow_ros.offline.html import format_number
-from emoflow_ros.offline.iwe import event_image, warped_image
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.report import write_report
 from emoflow_ros.offline.summary import summarise
@@ -196,8 +196,8 @@ def test_numbers_for_people():
 class ConstantFlow:
     """(20, -10) px/s everywhere."""
 
-    def displacement(self, t0, t1):
-        return np.full((180, 240, 2), (20.0, -10.0)) * (t1 - t0) / 1e9
+    def tracks(self, points, times):
+        return np.stack([points + np.array([20.0, -10.0]) * (t - times[0]) / 1e9 for t in times])
 
 
 def test_warp_brings_the_events_of_a_moving_point_together(folder):
@@ -208,10 +208,10 @@ def test_warp_brings_the_events_of_a_moving_point_together(folder):
     events.x[:] = np.rint(100 + 20 * seconds)
     events.y[:] = np.rint(90 - 10 * seconds)
     window = WindowSlicer(WindowPolicy(duration_ms=499.0)).push(events)[0]
-    before = event_image(window.events, 240, 180)
-    after = warped_image(window, ConstantFlow(), 2_249_500_000, 240, 180)
-    assert before.sum() == len(window.events)
-    assert after.sum() == pytest.approx(len(window.events))
+    after = warped_counts(window, ConstantFlow(), 2_249_500_000, 240, 180)
+    assert after.shape == (180, 240)
+    assert after.sum() == len(window.events)
     # At the middle, 249.5 ms, the point is at (104.99, 87.5).
-    assert after[86:90, 104:107].sum() > 0.97 * after.sum()
-    assert before[86:90, 104:107].sum() < 0.5 * before.sum()
+    assert after[87:89, 105].sum() > 0.85 * after.sum()
+    still = Window(window.t_start, window.t_end, window.events[:1])
+    assert warped_counts(still, ConstantFlow(), 2_499_000_000, 240, 180)[85, 110] == 1
