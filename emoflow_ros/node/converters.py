@@ -1,21 +1,34 @@
 """ROS messages from what the node knows, and back: the only place that builds messages."""
 
 import array
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Twist, TwistStamped, TwistWithCovarianceStamped, Vector3
+from geometry_msgs.msg import Point, Twist, TwistStamped, TwistWithCovarianceStamped, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker
 
 from emoflow_ros.core import twist as core
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.node.statistics import Report
+
+# Where each message has its velocity, a vector or a number of m/s.
+SPEED_TYPES: dict[str, Callable[[Any], Vector3 | float]] = {
+    "nav_msgs/msg/Odometry": lambda message: message.twist.twist.linear,
+    "geometry_msgs/msg/TwistStamped": lambda message: message.twist.linear,
+    "std_msgs/msg/Float64": lambda message: message.data,
+}
+
+_TRACK_WIDTH = 0.004  # m, at a distance of 1 m: about a pixel
+_TRACK_COLOR = ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0)
+_TRACK_LIFETIME = Duration(sec=2)
 
 
 def to_header(stamp: int, frame_id: str) -> Header:
@@ -56,6 +69,19 @@ def to_image(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
     )
 
 
+def to_tracks(lines: NDArray[np.float32], number: int, header: Header) -> Marker:
+    """Build a marker of line segments (S, 2, 3) in m; one of the same number replaces it."""
+    marker = Marker(header=header, ns="tracks", id=number, type=Marker.LINE_LIST)
+    marker.action = Marker.ADD
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = _TRACK_WIDTH
+    marker.color = _TRACK_COLOR
+    marker.lifetime = _TRACK_LIFETIME
+    marker.frame_locked = True
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z in lines.reshape(-1, 3).tolist()]
+    return marker
+
+
 def to_diagnostics(name: str, report: Report, stamp: Time) -> DiagnosticArray:
     """Build the diagnostics of one node."""
     status = to_status(f"{name}: estimator", name, report)
@@ -82,6 +108,21 @@ def to_camera(info: CameraInfo) -> Camera:
     return Camera.from_intrinsic_matrix(
         info.width, info.height, info.k, info.distortion_model, info.d
     )
+
+
+def to_speed(message: Any, ros_type: str) -> tuple[int | None, float]:
+    """Read the time of a message, ROS time in ns or None without a stamp, and its speed in m/s.
+
+    Args:
+        message: of one of SPEED_TYPES.
+        ros_type: which one.
+    """
+    velocity = SPEED_TYPES[ros_type](message)
+    if isinstance(velocity, float):
+        return None, abs(velocity)
+    stamp = message.header.stamp
+    speed = math.hypot(velocity.x, velocity.y, velocity.z)
+    return stamp.sec * NS_PER_S + stamp.nanosec or None, speed
 
 
 def _twist(twist: core.Twist) -> Twist:

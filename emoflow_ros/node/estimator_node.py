@@ -98,7 +98,7 @@ class EstimatorNode(LifecycleNode):
         path = options.camera.calibration_file
         self._camera = load_calibration(Path(path)) if path else None
         self._statistics = Statistics()
-        self._outputs = Outputs(self, options.output)
+        self._outputs = Outputs(self, options, self._statistics)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "/diagnostics", _DIAGNOSTICS_DEPTH
         )
@@ -120,6 +120,7 @@ class EstimatorNode(LifecycleNode):
         """Look for events."""
         assert self._supervisor is not None
         super().on_activate(state)
+        options = self._settings.node.camera
         self._source = EventSource(
             self,
             wanted_type=self._settings.node.input.type,
@@ -127,7 +128,7 @@ class EstimatorNode(LifecycleNode):
             callbacks=Callbacks(
                 topic=self._take_topic,
                 events=self._take_events,
-                camera_info=self._take_camera_info if self._camera is None else None,
+                camera_info=None if options.calibration_file else self._take_camera_info,
             ),
             statistics=self._statistics,
         )
@@ -174,6 +175,8 @@ class EstimatorNode(LifecycleNode):
 
     def _apply_settings(self, settings: Settings) -> None:
         """Take new settings for the next window."""
+        if self._supervisor is not None:
+            self._outputs.set_scale(settings.node.scale)
         if self._input is not None:
             self._input.set_policy(settings.config.window)
         if self._supervisor is not None and self._camera is not None:
@@ -221,13 +224,13 @@ class EstimatorNode(LifecycleNode):
             self._statistics.set_problem("camera", Level.ERROR, f"camera_info: {error}")
             self.get_logger().error(f"camera_info: {error}", throttle_duration_sec=_THROTTLE_S)
             return
+        self._statistics.clear_problem("camera")
         if camera == self._camera:
             return
         self._camera = camera
         if self._input is not None:
             self._input.camera = camera
         self._supervisor.configure(camera, self._settings.config)
-        self._statistics.clear_problem("camera")
         self.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
 
     def _hand_over(self, outcome: Outcome) -> None:
@@ -246,7 +249,7 @@ class EstimatorNode(LifecycleNode):
     def _publish(self, result: Result) -> None:
         if self._is_current(result.task):
             self._statistics.add_result(result)
-            self._outputs.publish(result, self._settings.node.scale)
+            self._outputs.publish(result)
 
     def _report(self, loss: Loss) -> None:
         self._statistics.counts["worker_restarts" if loss.worker else "windows_failed"] += 1

@@ -1,20 +1,26 @@
 """The node's topics: what of a window is published where."""
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.twist import at_middle, covariance_at_speed
 from emoflow_ros.node import converters
-from emoflow_ros.node.parameters import OutputOptions, ScaleOptions
+from emoflow_ros.node.parameters import NodeOptions, ScaleOptions
 from emoflow_ros.node.pictures import ENCODINGS, Picture
-from emoflow_ros.node.statistics import Report
+from emoflow_ros.node.scale import Scale
+from emoflow_ros.node.statistics import Level, Report, Statistics
+from emoflow_ros.node.target_frame import NoTransformError
 from emoflow_ros.node.tasks import Result, Task, Wishes
+from emoflow_ros.node.twist_output import TwistOutput
 from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
 
 _DEPTH = 10
+_TRACKS_SHOWN = 6  # windows whose tracks viewers show at a time
 
 
 class Outputs:
@@ -23,50 +29,62 @@ class Outputs:
     Args:
         node: to publish with.
         options: what to publish.
+        statistics: told while twists are not what was asked for.
+
+    Raises:
+        InputError: the options need a package that is not installed.
     """
 
-    def __init__(self, node: LifecycleNode, options: OutputOptions) -> None:
+    def __init__(self, node: LifecycleNode, options: NodeOptions, statistics: Statistics) -> None:
         self._node = node
-        self._options = options
-        self._last_twist = (-1, 0)  # epoch and stamp
-        self._twist = node.create_lifecycle_publisher(TwistStamped, "egomotion/twist", _DEPTH)
-        self._twist_with_covariance = node.create_lifecycle_publisher(
-            TwistWithCovarianceStamped, "egomotion/twist_with_covariance", _DEPTH
-        )
+        self._options = options.output
+        self._statistics = statistics
+        self._twists = TwistOutput(node, options.output)
+        self._scale = Scale(node, options.scale)
         self._status = node.create_lifecycle_publisher(DiagnosticStatus, "egomotion/status", _DEPTH)
         self._pictures = {
-            picture: node.create_lifecycle_publisher(Image, picture, _DEPTH) for picture in Picture
+            picture: node.create_lifecycle_publisher(
+                Marker if picture is Picture.TRACKS else Image, picture, _DEPTH
+            )
+            for picture in Picture
         }
+        self._tracks_published = 0
 
     def destroy(self) -> None:
         """Take the topics away."""
-        for publisher in (self._twist, self._twist_with_covariance, self._status):
+        self._twists.destroy()
+        self._scale.close()
+        for publisher in (self._status, *self._pictures.values()):
             self._node.destroy_lifecycle_publisher(publisher)
-        for publisher in self._pictures.values():
-            self._node.destroy_lifecycle_publisher(publisher)
+
+    def set_scale(self, options: ScaleOptions) -> None:
+        """Take the scale from somewhere else from now on."""
+        self._scale.set_options(options)
 
     @property
     def wishes(self) -> Wishes:
         """What results are to hold: of the pictures those that somebody subscribes to now."""
         subscribed = (p for p in Picture if self._pictures[p].get_subscription_count() > 0)
-        return Wishes(tuple(subscribed), self._options.flow_color_max, self._options.twist_rate)
-
-    def publish(self, result: Result, scale: ScaleOptions) -> None:
-        """Publish a window's status, and its estimate, at this scale, if there is one."""
-        self._publish_status(judge_result(result, self._now()))
-        estimate = result.estimate
-        if estimate.status is not Status.OK:
-            return
-        self._publish_twists(result, scale.factor)
-        header = converters.to_header(result.stamp, result.task.frame_id)
-        middle = at_middle(estimate).at_speed(scale.factor)
-        covariance = covariance_at_speed(estimate.covariance, scale.factor)
-        self._twist_with_covariance.publish(
-            converters.to_twist_with_covariance(middle, covariance, header)
+        return Wishes(
+            tuple(subscribed),
+            flow_color_max=self._options.flow_color_max,
+            tracks=self._options.tracks,
+            twist_rate=self._options.twist_rate,
         )
-        for picture, pixels in result.pictures.items():
-            image = converters.to_image(pixels, ENCODINGS[Picture(picture)], header)
-            self._pictures[Picture(picture)].publish(image)
+
+    def publish(self, result: Result) -> None:
+        """Publish a window's status, and its estimate if there is one."""
+        scaling = self._scale.at(result.stamp)
+        problems = {"scale": scaling.problem}
+        if result.estimate.status is Status.OK:
+            problems["frame"] = self._publish_twists(result, scaling.factor)
+            self._publish_pictures(result)
+        for part, problem in problems.items():
+            self._statistics.clear_problem(part)
+            if problem:
+                self._statistics.set_problem(part, Level.WARN, problem)
+        found = [problem for problem in problems.values() if problem]
+        self._publish_status(judge_result(result, self._now(), scaling.source, found))
 
     def publish_dropped(self, task: Task) -> None:
         """Publish the status of a window that had to make room."""
@@ -76,15 +94,28 @@ class Outputs:
         """Publish the status of a window that the worker failed at."""
         self._publish_status(judge_failed(task, reason, self._now()))
 
-    def _publish_twists(self, result: Result, factor: float) -> None:
-        """Publish twists with stamps that increase, also where the clocks' offset is corrected."""
-        task = result.task
-        for twist in result.twists:
-            stamp = task.to_ros(twist.t)
-            if (task.epoch, stamp) > self._last_twist:
-                self._last_twist = (task.epoch, stamp)
-                header = converters.to_header(stamp, task.frame_id)
-                self._twist.publish(converters.to_twist(twist.at_speed(factor), header))
+    def _publish_twists(self, result: Result, factor: float) -> str:
+        """Publish the twists, or say why not."""
+        try:
+            self._twists.publish(result, factor)
+        except NoTransformError as error:
+            return f"{error}; no twist is published"
+        return ""
+
+    def _publish_pictures(self, result: Result) -> None:
+        header = converters.to_header(result.stamp, result.task.frame_id)
+        for name, drawn in result.pictures.items():
+            picture = Picture(name)
+            if picture is Picture.TRACKS:
+                self._pictures[picture].publish(self._to_tracks(drawn, header))
+            else:
+                image = converters.to_image(drawn, ENCODINGS[picture], header)
+                self._pictures[picture].publish(image)
+
+    def _to_tracks(self, lines: NDArray[np.float32], header: Header) -> Marker:
+        """Number the windows' tracks in a circle, so that the last few are shown together."""
+        self._tracks_published += 1
+        return converters.to_tracks(lines, self._tracks_published % _TRACKS_SHOWN, header)
 
     def _publish_status(self, report: Report) -> None:
         name = self._node.get_fully_qualified_name()

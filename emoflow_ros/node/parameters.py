@@ -12,8 +12,11 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config, load_config
@@ -94,6 +97,32 @@ class OutputOptions:
         minimum=0.0,
         maximum=1000.0,
     )
+    tracks: int = option(
+        150, "points that `flow/tracks` follows, spread over the image", minimum=1, maximum=2000
+    )
+    target_frame: str = option(
+        "", "frame that twists are expressed in; empty is the camera's optical frame"
+    )
+    target_source: str = option(
+        "tf",
+        "rotation from the optical frame into output.target_frame: that of tf at the stamp, or "
+        "the parameters output.target_roll, output.target_pitch and output.target_yaw",
+        choices=("tf", "parameter"),
+    )
+    target_roll: float = option(
+        0.0,
+        "orientation of the optical frame in output.target_frame: roll about its x axis, first, "
+        "as in URDF",
+        unit="rad",
+        minimum=-math.tau,
+        maximum=math.tau,
+    )
+    target_pitch: float = option(
+        0.0, "then pitch about its y axis", unit="rad", minimum=-math.tau, maximum=math.tau
+    )
+    target_yaw: float = option(
+        0.0, "then yaw about its z axis", unit="rad", minimum=-math.tau, maximum=math.tau
+    )
 
 
 @dataclass(frozen=True)
@@ -102,8 +131,9 @@ class ScaleOptions:
 
     source: str = option(
         "none",
-        "scale of the linear velocity: none gives a unit direction, parameter that of scale.speed",
-        choices=("none", "parameter"),
+        "scale of the linear velocity: none gives a unit direction, parameter multiplies it by "
+        "scale.speed, topic by the speed on scale.topic",
+        choices=("none", "parameter", "topic"),
     )
     speed: float = option(
         1.0,
@@ -112,11 +142,26 @@ class ScaleOptions:
         minimum=0.0,
         maximum=1000.0,
     )
+    topic: str = option(
+        "odom",
+        "topic of the camera's speed if scale.source is topic: nav_msgs/Odometry, "
+        "geometry_msgs/TwistStamped or std_msgs/Float64, found from the graph",
+    )
+    max_age_s: float = option(
+        0.5,
+        "a window further than this from every speed on scale.topic gives a unit direction",
+        unit="s",
+        minimum=0.001,
+        maximum=60.0,
+    )
 
-    @property
-    def factor(self) -> float:
-        """What the unit direction is multiplied by."""
-        return self.speed if self.source == "parameter" else 1.0
+    def __post_init__(self) -> None:
+        try:
+            validate_full_topic_name(expand_topic_name(self.topic, "node", "/"))
+        except (InvalidTopicNameException, ValueError):
+            raise InputError(
+                "scale.topic", f"'{self.topic}' is not the name of a topic", "correct the name"
+            ) from None
 
 
 @dataclass(frozen=True)

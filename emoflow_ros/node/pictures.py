@@ -1,4 +1,4 @@
-"""The pictures of a window: which there are, and how the worker draws them."""
+"""What can be seen of a window: which pictures there are, and how the worker draws them."""
 
 from enum import StrEnum
 
@@ -8,6 +8,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.core.sharpened import sharpened_events
+from emoflow_ros.core.tracks import Tracker, lines_at_unit_depth
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.channel import Arrays
 from emoflow_ros.node.tasks import Wishes
@@ -19,27 +20,46 @@ class Picture(StrEnum):
     FLOW = "flow/image"
     COLOR = "flow/color"
     EVENTS = "flow/iwe"
+    TRACKS = "flow/tracks"
 
 
 ENCODINGS = {Picture.FLOW: "32FC2", Picture.COLOR: "rgb8", Picture.EVENTS: "mono8"}
 
 
-def draw(wishes: Wishes, estimate: Estimate, window: Window, camera: Camera) -> Arrays:
-    """Draw the pictures that are wanted, of the sensor's size, at the estimate's time.
+class Painter:
+    """Draws the pictures of one window after another.
 
-    Returns:
-        Arrays by `Picture`: the flow (height, width, 2) in px/s, NaN = none; its colours
-        (height, width, 3); the sharpened events (height, width).
+    Args:
+        camera: whose windows they are.
     """
-    flow = estimate.flow
-    if flow is None:
-        return {}
-    pictures: Arrays = {}
-    if {Picture.FLOW, Picture.COLOR} & set(wishes.pictures):
-        pictures[Picture.FLOW] = np.asarray(flow.velocity(estimate.t), np.float32)
-    if Picture.COLOR in wishes.pictures:
-        pictures[Picture.COLOR] = flow_to_rgb(pictures[Picture.FLOW], wishes.flow_color_max or None)
-    if Picture.EVENTS in wishes.pictures:
-        size = (camera.width, camera.height)
-        pictures[Picture.EVENTS] = sharpened_events(window, flow, estimate.t, *size)
-    return {name: pictures[name] for name in wishes.pictures}
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self._tracker: Tracker | None = None
+
+    def draw(self, wishes: Wishes, estimate: Estimate, window: Window) -> Arrays:
+        """Draw the pictures that are wanted, of the sensor's size, at the estimate's time.
+
+        Returns:
+            Arrays by `Picture`: the flow (height, width, 2) in px/s, NaN = none; its colours
+            (height, width, 3); the sharpened events (height, width); the window's point tracks
+            as line segments (S, 2, 3) at unit depth in the optical frame.
+        """
+        flow = estimate.flow
+        if flow is None:
+            return {}
+        pictures: Arrays = {}
+        if {Picture.FLOW, Picture.COLOR} & set(wishes.pictures):
+            pictures[Picture.FLOW] = np.asarray(flow.velocity(estimate.t), np.float32)
+        if Picture.COLOR in wishes.pictures:
+            longest = wishes.flow_color_max or None
+            pictures[Picture.COLOR] = flow_to_rgb(pictures[Picture.FLOW], longest)
+        if Picture.EVENTS in wishes.pictures:
+            size = (self._camera.width, self._camera.height)
+            pictures[Picture.EVENTS] = sharpened_events(window, flow, estimate.t, *size)
+        if Picture.TRACKS in wishes.pictures:
+            if self._tracker is None:
+                self._tracker = Tracker(wishes.tracks, self._camera.width, self._camera.height)
+            tracks = self._tracker.follow(flow, window.t_start, window.t_end)
+            pictures[Picture.TRACKS] = lines_at_unit_depth(tracks, self._camera)
+        return {name: pictures[name] for name in wishes.pictures}

@@ -1,5 +1,7 @@
 """The verdict on one window, whether it gave an estimate or not."""
 
+from collections.abc import Sequence
+
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.node.statistics import Level, Report
@@ -13,18 +15,23 @@ _LEVELS = {
 }
 
 
-def judge_result(result: Result, now: int) -> Report:
+def judge_result(
+    result: Result, now: int, scale: str = "none", problems: Sequence[str] = ()
+) -> Report:
     """Judge a window that the worker answered.
 
     Args:
         result: the answer.
         now: ROS time of publishing, ns.
+        scale: where that of the published twist comes from, as `scale.source` names it.
+        problems: what kept the twist from being published as it was asked for.
     """
     estimate = result.estimate
     quality = estimate.quality
     values = {
         "model": str(estimate.model),
         "translation_observable": str(estimate.translation_observable).lower(),
+        "scale": scale,
         "contrast_gain": f"{quality.contrast_gain:.3f}",
         "residual_px": f"{quality.residual_px:.3f}",
         "inlier_fraction": f"{quality.inlier_fraction:.3f}",
@@ -33,7 +40,8 @@ def judge_result(result: Result, now: int) -> Report:
         "runtime_ms": f"{1e3 * quality.runtime_s:.1f}",
     }
     common = _common(result.stamp, now, str(estimate.status), quality.events)
-    return Report(_LEVELS[estimate.status], _message(estimate), common | values)
+    level = max(_LEVELS[estimate.status], Level.WARN if problems else Level.OK)
+    return Report(level, "; ".join([_message(estimate), *problems]), common | values)
 
 
 def judge_dropped(task: Task, now: int) -> Report:

@@ -21,7 +21,7 @@ from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.twist import Twist, at_middle, sample
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.node.channel import Arrays, Channel
-from emoflow_ros.node.pictures import draw
+from emoflow_ros.node.pictures import Painter
 from emoflow_ros.node.tasks import Wishes
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
@@ -52,7 +52,7 @@ class _Worker:
     def __init__(self, make_estimator: EstimatorFactory) -> None:
         self._make_estimator = make_estimator
         self._estimator: Estimator | None = None
-        self._camera: Camera | None = None
+        self._painter: Painter | None = None
 
     def answer(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
         """Do what a request asks for; errors are an answer, too, and cost a cold start."""
@@ -86,12 +86,12 @@ class _Worker:
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:
         camera = Camera(**header["camera"] | {"distortion": tuple(header["camera"]["distortion"])})
-        self._camera = camera
+        self._painter = Painter(camera)
         self._estimator = self._make_estimator(camera, replace_options(Config(), header["config"]))
         return {}
 
     def _estimate(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
-        if self._estimator is None or self._camera is None:
+        if self._estimator is None or self._painter is None:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
@@ -105,7 +105,7 @@ class _Worker:
         times = header["times"]
         twists = [at_middle(estimate)] if times is None else sample(estimate, times)
         answer, values = _pack(estimate, twists)
-        values |= draw(Wishes(**header["wishes"]), estimate, window, self._camera)
+        values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)
         return answer, values
 
 

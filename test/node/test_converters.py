@@ -4,8 +4,11 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TwistStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Float64
+from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.twist import Twist
@@ -54,6 +57,26 @@ def test_flow_image_survives_serialisation() -> None:
     assert message.step == 4 * 2 * 4
     back = np.frombuffer(message.data, "<f4").reshape(3, 4, 2)
     np.testing.assert_array_equal(back, flow)
+
+
+def test_track_marker_survives_serialisation() -> None:
+    lines = np.float32([[[0.1, -0.2, 1.0], [0.3, -0.2, 1.0]]])
+    message = converters.to_tracks(lines, 3, HEADER)
+    message = deserialize_message(serialize_message(message), Marker)
+    assert (message.type, message.id, message.header) == (Marker.LINE_LIST, 3, HEADER)
+    points = [(p.x, p.y, p.z) for p in message.points]
+    np.testing.assert_array_equal(np.float32(points), lines[0])
+    assert message.lifetime.sec == 2
+    assert converters.to_tracks(np.empty((0, 2, 3), np.float32), 0, HEADER).points == []
+
+
+def test_speed_of_a_message_without_a_stamp_has_no_time() -> None:
+    twist = TwistStamped()
+    twist.twist.linear.x, twist.twist.linear.z = -3.0, 4.0
+    assert converters.to_speed(twist, "geometry_msgs/msg/TwistStamped") == (None, 5.0)
+    twist.header.stamp = Time(sec=2, nanosec=5)
+    assert converters.to_speed(twist, "geometry_msgs/msg/TwistStamped") == (2_000_000_005, 5.0)
+    assert converters.to_speed(Float64(data=-2.0), "std_msgs/msg/Float64") == (None, 2.0)
 
 
 def test_camera_info_becomes_the_camera() -> None:

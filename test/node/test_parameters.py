@@ -77,6 +77,8 @@ def test_start_values_count_and_whole_numbers_are_fine(make_node: Callable[..., 
         ("window__duration_ms", 0.0, "out of range"),
         ("input__queue_windows", "many", "not of type int"),
         ("profile", "warp", "unknown profile"),
+        ("output__target_source", "guess", "use one of tf, parameter"),
+        ("scale__topic", "my odometry", "is not the name of a topic"),
     ],
 )
 def test_bad_start_values_are_refused(
@@ -112,7 +114,13 @@ def test_fixed_parameter_changes_only_while_unconfigured(make_node: Callable[...
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("window.duration_ms", -1.0), ("window.stride_ms", 5000.0), ("window.count", -1)],
+    [
+        ("window.duration_ms", -1.0),
+        ("window.stride_ms", 5000.0),
+        ("window.count", -1),
+        ("scale.topic", "/a//b"),
+        ("scale.max_age_s", 0.0),
+    ],
 )
 def test_bad_change_is_refused_with_the_reason(
     make_node: Callable[..., Any], name: str, value: Any
@@ -152,6 +160,8 @@ def test_unknown_parameter_cannot_be_set(make_node: Callable[..., Any]) -> None:
         ("window.duration_ms", Change.ANY_TIME),
         ("estimator.max_events", Change.ANY_TIME),
         ("scale.speed", Change.ANY_TIME),
+        ("scale.topic", Change.ANY_TIME),
+        ("output.target_frame", Change.UNCONFIGURED),
         ("input.type", Change.UNCONFIGURED),
         ("camera.frame_id", Change.UNCONFIGURED),
         ("output.timeout_s", Change.UNCONFIGURED),

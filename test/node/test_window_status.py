@@ -40,6 +40,7 @@ def test_status_of_an_estimate_holds_its_quality_and_age(task: Task) -> None:
         "lag_ms": "250.0",
         "model": "full",
         "translation_observable": "true",
+        "scale": "none",
         "contrast_gain": "1.250",
         "residual_px": "0.500",
         "inlier_fraction": "0.875",
@@ -53,6 +54,14 @@ def test_pure_rotation_is_named(task: Task) -> None:
     report = judge_result(answer(task, Status.OK, MotionModel.ROTATION), now=0)
     assert (report.level, report.message) == (Level.OK, "ok, translation not observable")
     assert report.values["translation_observable"] == "false"
+
+
+def test_twist_that_is_not_what_was_asked_for_warns(task: Task) -> None:
+    problems = ["nobody publishes /odom; linear is a unit direction", "no transform"]
+    report = judge_result(answer(task, Status.OK), 0, "none", problems)
+    assert (report.level, report.message) == (Level.WARN, "; ".join(["ok", *problems]))
+    assert judge_result(answer(task, Status.DIVERGED), 0, "none", problems).level is Level.ERROR
+    assert judge_result(answer(task, Status.OK), 0, "topic").values["scale"] == "topic"
 
 
 @pytest.mark.parametrize(

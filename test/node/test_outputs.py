@@ -1,0 +1,194 @@
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+from fake_estimators import Recorder
+from fake_node import FakeNode, install_fake_tf
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.estimate import MotionModel, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.twist import at_middle
+from emoflow_ros.core.windows import Window
+from emoflow_ros.node.outputs import Outputs
+from emoflow_ros.node.parameters import NodeOptions, ScaleOptions, Settings
+from emoflow_ros.node.pictures import Picture
+from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.tasks import Result, Task
+
+MS = 1_000_000
+CAMERA = Camera(8, 6, 5.0, 5.0, 4.0, 3.0)
+# The optical frame in a body with x forward, y left and z up, as URDFs have it.
+BODY = {
+    "output.target_frame": "base",
+    "output.target_source": "parameter",
+    "output.target_roll": -np.pi / 2,
+    "output.target_yaw": -np.pi / 2,
+}
+
+
+def options(**values: Any) -> NodeOptions:
+    given = {name.replace("__", "."): value for name, value in values.items()}
+    return Settings(NodeOptions(), load_config()).changed(given).node
+
+
+class Bench:
+    """Outputs of a node without DDS."""
+
+    def __init__(self, **values: Any) -> None:
+        self.node = FakeNode()
+        self.statistics = Statistics()
+        self.outputs = Outputs(self.node, options(**values), self.statistics)
+
+    def publish(self, start_ms: int = 1000, **changes: Any) -> None:
+        self.outputs.publish(result(start_ms, **changes))
+
+    def last(self, topic: str) -> Any:
+        return self.node.messages(f"egomotion/{topic}")[-1]
+
+    def status(self) -> tuple[bytes, str, dict[str, str]]:
+        last = self.last("status")
+        return last.level, last.message, {v.key: v.value for v in last.values}
+
+
+@pytest.fixture
+def bench() -> Callable[..., Bench]:
+    return Bench
+
+
+def result(start_ms: int = 1000, pictures: Any = None, **changes: Any) -> Result:
+    """Directions (0, 0.6, 0.8) and an angular velocity of (4, 1, 8)."""
+    events = Events(*(np.zeros(4, np.uint16),) * 2, np.arange(4), np.ones(4, bool))
+    window = Window(start_ms * MS, (start_ms + 10) * MS, events)
+    estimate = replace(Recorder(CAMERA, Config()).estimate(window), **changes)
+    task = Task(window, 0, 0, "optical", 0.0)
+    return Result(task, estimate, (at_middle(estimate),), pictures or {})
+
+
+def vector(v: Any) -> list[float]:
+    return [v.x, v.y, v.z]
+
+
+def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Bench]) -> None:
+    b = bench(output__tracks=7, output__flow_color_max=3.0, output__twist_rate=20.0)
+    assert b.outputs.wishes.pictures == ()
+    for picture in Picture:
+        b.node.publishers[picture].subscribers = 1
+        assert b.outputs.wishes.pictures == (picture,)
+        b.node.publishers[picture].subscribers = 0
+    wishes = b.outputs.wishes
+    assert (wishes.tracks, wishes.flow_color_max, wishes.twist_rate) == (7, 3.0, 20.0)
+
+
+def test_tracks_are_a_marker_in_front_of_the_camera(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    lines = np.float32([[[0, 0.5, 1], [0.25, 0.5, 1]], [[-1, 0, 1], [-1, 0.125, 1]]])
+    for k in range(8):
+        b.publish(1000 + 10 * k, pictures={Picture.TRACKS: lines})
+    markers = b.node.messages("flow/tracks")
+    first = markers[0]
+    assert (first.type, first.action, first.ns) == (first.LINE_LIST, first.ADD, "tracks")
+    assert first.header.frame_id == "optical"
+    assert (first.header.stamp.sec, first.header.stamp.nanosec) == (1, 5 * MS)
+    assert [vector(p) for p in first.points] == lines.reshape(4, 3).tolist()
+    assert (first.pose.orientation.w, first.color.a, first.frame_locked) == (1.0, 1.0, True)
+    # The newest replaces the sixth before it.
+    ids = [marker.id for marker in markers]
+    assert len(set(ids[:6])) == 6
+    assert ids[6:] == ids[:2]
+
+
+def test_twists_are_in_the_target_frame_and_pictures_are_not(bench: Callable[..., Bench]) -> None:
+    b = bench(**{name.replace(".", "__"): value for name, value in BODY.items()})
+    covariance = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    b.publish(covariance=covariance, pictures={Picture.FLOW: np.zeros((6, 8, 2), np.float32)})
+    for topic in ("twist", "twist_with_covariance"):
+        message = b.last(topic)
+        assert message.header.frame_id == "base"
+        twist = message.twist if topic == "twist" else message.twist.twist
+        np.testing.assert_allclose(vector(twist.linear), [0.8, 0.0, -0.6], atol=1e-12)
+        np.testing.assert_allclose(vector(twist.angular), [8.0, -4.0, -1.0], atol=1e-12)
+    found = np.reshape(b.last("twist_with_covariance").twist.covariance, (6, 6))
+    np.testing.assert_allclose(found, np.diag([3.0, 1.0, 2.0, 6.0, 4.0, 5.0]), atol=1e-12)
+    assert b.node.messages("flow/image")[-1].header.frame_id == "optical"
+
+
+def test_unobservable_translation_stays_marked_when_scaled_and_rotated(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench(
+        scale__source="parameter",
+        scale__speed=3.0,
+        **{name.replace(".", "__"): value for name, value in BODY.items()},
+    )
+    covariance = np.diag([-1.0, 0.0, 0.0, 4.0, 5.0, 6.0])
+    b.publish(covariance=covariance, linear=np.zeros(3), model=MotionModel.ROTATION)
+    message = b.last("twist_with_covariance")
+    assert vector(message.twist.twist.linear) == [0.0, 0.0, 0.0]
+    found = np.reshape(message.twist.covariance, (6, 6))
+    np.testing.assert_allclose(found, np.diag([-1.0, 0, 0, 6.0, 4.0, 5.0]), atol=1e-12)
+    assert b.status()[1] == "ok, translation not observable"
+
+
+def test_status_tells_the_scale_that_was_applied(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    b.publish()
+    assert b.status()[2]["scale"] == "none"
+    b.outputs.set_scale(ScaleOptions(source="parameter", speed=5.0))
+    b.publish(1010)
+    assert b.status()[2]["scale"] == "parameter"
+    assert vector(b.last("twist").twist.linear) == [0.0, 3.0, 4.0]
+
+
+def test_status_carries_observability_quality_and_lag(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    b.node.now = 1300 * MS
+    b.publish()
+    level, message, values = b.status()
+    assert (level, message) == (b"\x00", "ok")
+    assert values["lag_ms"] == "295.0"
+    assert values["translation_observable"] == "true"
+    assert {"contrast_gain", "residual_px", "inlier_fraction", "iterations"} <= set(values)
+
+
+def test_window_without_an_estimate_publishes_its_status_only(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    b.publish(status=Status.NO_MOTION)
+    assert b.status()[0] == b"\x01"
+    counts = {topic: len(p.messages) for topic, p in b.node.publishers.items()}
+    assert sum(counts.values()) == counts["egomotion/status"] == 1
+
+
+def test_twists_never_go_back(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    for start_ms in (1000, 990, 1010):
+        b.publish(start_ms)
+    stamps = [m.header.stamp.nanosec for m in b.node.messages("egomotion/twist")]
+    assert stamps == [5 * MS, 15 * MS]
+
+
+def test_twists_are_withheld_without_a_transform(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tf = install_fake_tf(monkeypatch)
+    b = bench(output__target_frame="base")
+    b.publish(pictures={Picture.FLOW: np.zeros((6, 8, 2), np.float32)})
+    assert b.node.messages("egomotion/twist") == []
+    assert b.node.messages("egomotion/twist_with_covariance") == []
+    assert len(b.node.messages("flow/image")) == 1
+    reason = "no transform from optical to base: not yet; no twist is published"
+    assert b.status()[:2] == (b"\x01", f"ok; {reason}")
+    assert b.statistics.problems == {"frame": (Level.WARN, reason)}
+    tf.known = True
+    b.publish(1010)
+    assert b.last("twist").header.frame_id == "base"
+    assert b.statistics.problems == {}
+    b.outputs.destroy()
+    assert b.node.publishers == {}
+    assert tf.listening == 0

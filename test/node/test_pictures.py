@@ -1,0 +1,100 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from fake_estimators import Recorder
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.flow_color import flow_to_rgb
+from emoflow_ros.core.windows import Window
+from emoflow_ros.node.pictures import Painter, Picture
+from emoflow_ros.node.tasks import Wishes
+
+CAMERA = Camera(64, 48, 50.0, 40.0, 32.0, 24.0)
+MS = 1_000_000
+
+
+class CountedFlow:
+    """A flow of (100, 0) px/s that counts what it is asked for."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def velocity(self, t: int) -> np.ndarray:
+        self.asked.append("velocity")
+        return np.tile(np.float32([100, 0]), (CAMERA.height, CAMERA.width, 1))
+
+    def tracks(self, points: np.ndarray, times: list[int]) -> np.ndarray:
+        self.asked.append("tracks")
+        since = (np.array(times) - times[0]) / 1e9
+        return points + since[:, None, None] * (100.0, 0.0)
+
+
+def window(start_ms: int = 0) -> Window:
+    t = np.array([start_ms * MS, (start_ms + 20) * MS])
+    events = Events(np.array([10, 12], np.uint16), np.array([5, 5], np.uint16), t, t >= 0)
+    return Window(start_ms * MS, (start_ms + 20) * MS, events)
+
+
+def estimate(flow: CountedFlow | None, of: Window) -> Estimate:
+    return replace(Recorder(CAMERA, Config()).estimate(of), flow=flow)
+
+
+def test_nothing_is_computed_that_nobody_wants() -> None:
+    flow = CountedFlow()
+    assert Painter(CAMERA).draw(Wishes(), estimate(flow, window()), window()) == {}
+    assert flow.asked == []
+
+
+@pytest.mark.parametrize(
+    ("picture", "asked", "shape", "dtype"),
+    [
+        (Picture.FLOW, {"velocity"}, (48, 64, 2), np.float32),
+        (Picture.COLOR, {"velocity"}, (48, 64, 3), np.uint8),
+        (Picture.EVENTS, {"tracks"}, (48, 64), np.uint8),
+        (Picture.TRACKS, {"tracks"}, (12 * 4, 2, 3), np.float32),
+    ],
+)
+def test_one_picture_costs_no_other(
+    picture: Picture, asked: set[str], shape: tuple[int, ...], dtype: type
+) -> None:
+    flow = CountedFlow()
+    drawn = Painter(CAMERA).draw(Wishes((picture,), tracks=12), estimate(flow, window()), window())
+    assert set(drawn) == {picture}
+    assert set(flow.asked) == asked
+    assert drawn[picture].shape == shape
+    assert drawn[picture].dtype == dtype
+
+
+def test_flow_is_evaluated_once_for_its_image_and_its_colours() -> None:
+    flow = CountedFlow()
+    wishes = Wishes((Picture.FLOW, Picture.COLOR), flow_color_max=200.0)
+    drawn = Painter(CAMERA).draw(wishes, estimate(flow, window()), window())
+    assert flow.asked == ["velocity"]
+    expected = flow_to_rgb(drawn[Picture.FLOW], 200.0)
+    np.testing.assert_array_equal(drawn[Picture.COLOR], expected)
+
+
+def test_no_flow_no_pictures() -> None:
+    wishes = Wishes(tuple(Picture), tracks=3)
+    assert Painter(CAMERA).draw(wishes, estimate(None, window()), window()) == {}
+
+
+def test_tracks_go_on_over_windows() -> None:
+    """Two px to the right per window of 20 ms, at 50 px per unit of the plane."""
+    painter, wishes = Painter(CAMERA), Wishes((Picture.TRACKS,), tracks=12)
+    lines = []
+    for start_ms in (0, 20, 40, 200):
+        of = window(start_ms)
+        lines.append(painter.draw(wishes, estimate(CountedFlow(), of), of)[Picture.TRACKS])
+    first = lines[0].reshape(4, 12, 2, 3)
+    np.testing.assert_allclose(first[0, 0, 0], [(7.5 - 32) / 50, (7.5 - 24) / 40, 1], rtol=1e-6)
+    np.testing.assert_allclose(first[3, :, 1, 0] - first[0, :, 0, 0], 0.04, atol=1e-6)
+    np.testing.assert_array_equal(first[0, :, 1], first[1, :, 0])
+    for earlier, later in pairwise(lines[:3]):
+        np.testing.assert_allclose(earlier[-12:, 1], later[:12, 0], atol=1e-6)
+    np.testing.assert_array_equal(lines[3], lines[0])  # after a gap they begin anew
