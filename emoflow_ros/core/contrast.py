@@ -6,7 +6,9 @@ attract each other. The contrast is half the sum of the squares of the smoothed 
 variance (Gallego et al., CVPR 2018), as signed polarities have mean zero.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +16,10 @@ from numpy.typing import NDArray
 from emoflow_ros.core import assembly, kernels
 from emoflow_ros.core.lattice import Lattice
 
+STIFFNESS_STRIDE = 2  # events per event whose stiffness is taken: the most costly part
+
 _DENSITY_CELL = 4  # px: density is counted in cells of this size ...
 _DENSITY_SIGMA = 2.0  # ... and smoothed by this many of them
-_STIFFNESS_STRIDE = 2  # events per event whose stiffness is taken: the most costly part
 _DENSITY_FLOOR = 0.1  # share of the mean density, so that lone events stay weak
 
 F32 = NDArray[np.float32]
@@ -64,6 +67,36 @@ class WindowEvents:
 
     def __len__(self) -> int:
         return len(self.x)
+
+
+class ImageContrast(Protocol):
+    """A contrast as the lattice fit takes it, wherever it is computed; see Contrast."""
+
+    @property
+    def scale(self) -> float:
+        """Image pixels per sensor pixel."""
+        ...
+
+    def score(self, events: WindowEvents, position: F32) -> float:
+        """Contrast of events at given positions (2, N) px."""
+        ...
+
+    def gain(self, events: WindowEvents, flow: F32) -> float:
+        """Contrast of the warped events over that of the events as they came."""
+        ...
+
+    def linearise(
+        self,
+        events: WindowEvents,
+        flow: F32,
+        vector: NDArray[np.float64],
+        band: NDArray[np.float64],
+    ) -> float:
+        """Add the contrast's gradient and curvature to the normal equations; return it."""
+        ...
+
+
+type ContrastFactory = Callable[[Lattice, float], ImageContrast]
 
 
 def gaussian(sigma: float) -> F32:
@@ -142,14 +175,14 @@ class Contrast:
         self._curvature[:] = 0.0
         kernels.pull(
             events.x, events.y, events.s, events.weights, ref, position,
-            self.image, self.scale, self.lattice.per_px, _STIFFNESS_STRIDE,
+            self.image, self.scale, self.lattice.per_px, STIFFNESS_STRIDE,
             self._gradient, self._curvature,
         )  # fmt: skip
         assembly.gather_cells(self._gradient, self._curvature, self._area, vector, band)
         return contrast
 
 
-def best_constant_flow(contrast: Contrast, events: WindowEvents, reach: float) -> F32:
+def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: float) -> F32:
     """Search the constant flow of highest contrast, (2,) px per window.
 
     Args:

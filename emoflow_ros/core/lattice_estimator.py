@@ -9,7 +9,12 @@ from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import WindowEvents, best_constant_flow
+from emoflow_ros.core.contrast import (
+    Contrast,
+    ContrastFactory,
+    WindowEvents,
+    best_constant_flow,
+)
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
@@ -52,14 +57,17 @@ class LatticeEstimator:
     Args:
         camera: with its lens.
         config: see LatticeConfig.
+        make_contrast: where the contrast is computed.
     """
 
-    def __init__(self, camera: Camera, config: LatticeConfig) -> None:
+    def __init__(
+        self, camera: Camera, config: LatticeConfig, make_contrast: ContrastFactory = Contrast
+    ) -> None:
         self.camera = camera
         self.config = config
         self.lattice = Lattice.with_spacing(camera.width, camera.height, config.spacing_px)
         self._epipolar = NodeEpipolar(camera, self.lattice, config.dec_inlier_px)
-        self._fit = LatticeFit(self.lattice, self._epipolar, config)
+        self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
         self.reset()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast, ContrastFactory, WindowEvents
 from emoflow_ros.core.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar, Residuals
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -93,11 +93,17 @@ class LatticeFit:
         step_px: root mean square of the last step of the flow.
     """
 
-    def __init__(self, lattice: Lattice, epipolar: NodeEpipolar, config: LatticeConfig) -> None:
+    def __init__(
+        self,
+        lattice: Lattice,
+        epipolar: NodeEpipolar,
+        config: LatticeConfig,
+        make_contrast: ContrastFactory = Contrast,
+    ) -> None:
         self.lattice = lattice
         self.epipolar = epipolar
         self.config = config
-        self.contrasts = {scale: Contrast(lattice, scale) for scale in SCALES}
+        self.contrasts = {scale: make_contrast(lattice, scale) for scale in SCALES}
         self.flow = np.zeros(lattice.shape, np.float32)
         self.motion: Motion | None = None
         self.structure: Structure | None = None

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.device import require_cuda
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.implicit.assess import assess
@@ -15,7 +16,6 @@ from emoflow_ros.core.implicit.losses import PixelMaps
 from emoflow_ros.core.implicit.sampler import ImplicitFlow
 from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.windows import NS_PER_S, Window
-from emoflow_ros.errors import InputError
 
 
 class ImplicitEstimator:
@@ -33,8 +33,8 @@ class ImplicitEstimator:
     """
 
     def __init__(self, camera: Camera, config: ImplicitConfig) -> None:
-        if config.device == "cuda" and not torch.cuda.is_available():
-            raise InputError("device", "no CUDA device was found", "use cpu, or check the driver")
+        if config.device == "cuda":
+            require_cuda()
         self._camera = camera
         self._config = config
         self._maps = PixelMaps.of(camera, config.device)

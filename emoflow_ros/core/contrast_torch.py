@@ -1,0 +1,210 @@
+"""The contrast on a device of torch: what `contrast.Contrast` computes, for CUDA.
+
+A step is one CUDA graph: the field goes to the device, the cells' gradients and curvatures come
+back, and the host waits once, for these.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+from emoflow_ros.core import assembly
+from emoflow_ros.core.contrast import WindowEvents, gaussian
+from emoflow_ros.core.device_events import DeviceEvents, host_buffer
+from emoflow_ros.core.kernels import MARGIN
+from emoflow_ros.core.lattice import Lattice
+
+_WARM_UPS = 3  # before the capture, as torch asks for
+
+F32 = NDArray[np.float32]
+
+
+class TorchContrast:
+    """The contrast at one image scale, and its buffers on a device (an ImageContrast).
+
+    On CUDA the order in which events are added to the image, and with it the last bits of all
+    that follows, differs from run to run.
+
+    Args:
+        lattice: the flow field's lattice.
+        scale: image pixels per sensor pixel.
+        sigma: of the Gaussian, in image pixels.
+        device: of torch.
+        capacity: the most events that a window holds.
+    """
+
+    def __init__(
+        self, lattice: Lattice, scale: float, sigma: float = 1.0, *, device: str, capacity: int
+    ) -> None:
+        self.lattice = lattice
+        self.scale = scale
+        self._again = partial(
+            TorchContrast, lattice, scale, sigma, device=device, capacity=capacity
+        )
+        self._area = scale**2
+        self._shift = (MARGIN + 0.5) * scale - 0.5
+        height = int((lattice.height + 2 * MARGIN) * scale) + 1
+        width = int((lattice.width + 2 * MARGIN) * scale) + 1
+        self._shape = (height, width)
+        half = gaussian(sigma)
+        self._taps = torch.tensor(np.concatenate([half[:0:-1], half]), device=device)
+        self._inner = torch.tensor([width - 2, height - 2], device=device)
+        self._corners = torch.tensor([0, 1, width, width + 1], device=device)[:, None]
+        offsets = [i * width + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        self._around = torch.tensor(offsets, device=device)[:, None]
+        self._image = torch.zeros(height * width, device=device)
+        self._events = DeviceEvents(lattice, capacity, device)
+        self._field = torch.zeros(lattice.unknowns // 2, 4, device=device)
+        self._field_on_host = host_buffer(tuple(self._field.shape), device)
+        self._cells = (lattice.columns - 1, lattice.rows - 1, lattice.times - 1)
+        self._of_gradient = 1 + int(np.prod(self._cells)) * 2 * 8  # behind the contrast
+        of_curvature = int(np.prod(self._cells)) * 8 * 3 * 8
+        self._answer = torch.zeros(self._of_gradient + of_curvature, device=device)
+        self._answer_on_host = host_buffer(tuple(self._answer.shape), device)
+        self._run = self._step if device == "cpu" else self._capture().replay
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave the buffers out: they hold nothing from one call to the next."""
+        return self._again, ()
+
+    def score(self, events: WindowEvents, position: F32) -> float:
+        """Contrast of events at given positions (2, N) px."""
+        self._events.load(events)
+        at = torch.from_numpy(position).to(self._image.device)
+        image = self._draw(at.T, self._events.columns[3, : len(events)])
+        return self._energy(image).item()
+
+    def gain(self, events: WindowEvents, flow: F32) -> float:
+        """Contrast of the warped events over that of the events as they came."""
+        self._load(events, flow)
+        sharp = self._energy(self._draw(self._warp(), self._events.weights)).item()
+        return sharp / self.score(events, np.stack([events.x, events.y]))
+
+    def linearise(
+        self,
+        events: WindowEvents,
+        flow: F32,
+        vector: NDArray[np.float64],
+        band: NDArray[np.float64],
+    ) -> float:
+        """Add the contrast's gradient and curvature at a field to the normal equations.
+
+        Returns:
+            The contrast.
+        """
+        self._load(events, flow)
+        self._run()
+        self._answer_on_host.copy_(self._answer)  # waits
+        answer = self._answer_on_host.numpy()
+        gradient = answer[1 : self._of_gradient].reshape(*self._cells, 2, 8)
+        curvature = answer[self._of_gradient :].reshape(*self._cells, 8, 3, 8)
+        assembly.gather_cells(gradient, curvature, self._area, vector, band)
+        return float(answer[0])
+
+    def _load(self, events: WindowEvents, flow: F32) -> None:
+        """Send the window's events, where they are new, and the field with its acceleration."""
+        self._events.load(events)
+        field = self._field_on_host.numpy().reshape(*self.lattice.shape[:3], 4)
+        field[..., :2] = flow
+        field[..., 2:] = self.lattice.acceleration(flow)[:, :, None]
+        self._field.copy_(self._field_on_host, non_blocking=True)
+
+    def _capture(self) -> torch.cuda.CUDAGraph:
+        """Record a step, so that it is launched as one."""
+        aside = torch.cuda.Stream()
+        aside.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(aside):
+            for _ in range(_WARM_UPS):
+                self._step()
+        torch.cuda.current_stream().wait_stream(aside)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._step()
+        return graph
+
+    def _step(self) -> None:
+        """Compute contrast, gradient and curvature of the loaded events at the loaded field."""
+        events = self._events
+        position = self._warp()
+        image = self._draw(position, events.weights)
+        potential = self._blur(image).ravel()
+        at, inside = self._on_image(position)
+        lever = events.weights * inside * events.lever[:, 0] * self.scale
+        pull = lever * self._slope(potential, at)
+        lever = lever * events.lever[:, 0] * self.scale * events.copies
+        stiffness = _semidefinite(*(lever * self._bend(potential, at)))
+        by_node = (stiffness[..., None] * events.basis).transpose(0, 1).flatten(1)  # (S, 24)
+        cells, blocks = events.members.shape
+        rows = torch.cat([pull.T, by_node], dim=1).view(blocks, -1, 26)
+        sums = events.basis.view(blocks, -1, 8).transpose(1, 2) @ rows
+        sums = (events.members @ sums.flatten(1)).view(cells, 8, 26)
+        gradient, curvature = sums[..., :2].transpose(1, 2), sums[..., 2:]
+        parts = [self._energy(image)[None], gradient.flatten(), curvature.flatten()]
+        torch.cat(parts, out=self._answer)
+
+    def _warp(self) -> Tensor:
+        """Warp the events to the middle along the field, (S, 2) px, as `kernels.warp`."""
+        events = self._events
+        near = (events.hats[..., None] * self._field[events.nodes]).sum(dim=1)
+        return events.xy + events.lever * (near[:, :2] + 0.5 * events.lever * near[:, 2:])
+
+    def _on_image(self, position: Tensor) -> tuple[Tensor, Tensor]:
+        """Map sensor to image positions (N, 2), and tell which are inside, (N,)."""
+        at = position * self.scale + self._shift
+        inside = ((at >= 1) & (at < self._inner)).all(dim=1)
+        return torch.where(inside[:, None], at, 1.0), inside
+
+    def _draw(self, position: Tensor, weights: Tensor) -> Tensor:
+        """Draw the smoothed image of events at positions (N, 2) px."""
+        at, inside = self._on_image(position)
+        index, (fx, fy) = self._pixel(at)
+        shares = torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
+        votes = shares * (weights * inside)
+        self._image.zero_().index_add_(0, (index + self._corners).ravel(), votes.ravel())
+        return self._blur(self._image.view(self._shape))
+
+    def _pixel(self, at: Tensor) -> tuple[Tensor, Tensor]:
+        """Split image positions (N, 2) into the pixel's index (N,) and fractions (2, N)."""
+        whole = at.long()
+        return whole[:, 1] * self._shape[1] + whole[:, 0], (at - whole).T
+
+    def _blur(self, image: Tensor) -> Tensor:
+        radius = len(self._taps) // 2
+        with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+            down = conv2d(image[None, None], self._taps[None, None, :, None], padding=(radius, 0))
+            return conv2d(down, self._taps[None, None, None], padding=(0, radius))[0, 0]
+
+    def _slope(self, potential: Tensor, at: Tensor) -> Tensor:
+        """Gradient (2, N) of the potential's bilinear interpolant."""
+        index, (fx, fy) = self._pixel(at)
+        p00, p01, p10, p11 = potential[index + self._corners]
+        return torch.stack(
+            [
+                (1 - fy) * (p01 - p00) + fy * (p11 - p10),
+                (1 - fx) * (p10 - p00) + fx * (p11 - p01),
+            ]
+        )
+
+    def _bend(self, potential: Tensor, at: Tensor) -> Tensor:
+        """Negative second differences (3, N) around the nearest pixel: xx, xy, yy."""
+        index, _ = self._pixel(at + 0.5)
+        p = potential[index + self._around]  # (9, N), row by row
+        xy = 0.25 * (p[2] + p[6] - p[0] - p[8])
+        return torch.stack([2 * p[4] - p[3] - p[5], xy, 2 * p[4] - p[1] - p[7]])
+
+    def _energy(self, image: Tensor) -> Tensor:
+        return 0.5 * self._area * image.square().sum()
+
+
+def _semidefinite(xx: Tensor, xy: Tensor, yy: Tensor) -> Tensor:
+    """Cut symmetric matrices to their positive semidefinite part, (3, N)."""
+    mean, skew = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    root = torch.hypot(skew, xy)
+    keep = 0.5 * (mean + root).clamp(min=0) / root.clamp(min=1e-20)
+    cut = keep * torch.stack([root + skew, xy, root - skew])
+    return torch.where(mean < root, cut, torch.stack([xx, xy, yy]))
