@@ -39,7 +39,7 @@ class Source:
         if self.sequence and topic is None and BagRecording.matches(self.path):
             topic = self.sequence.topic
         recording = open_recording(self.path, topic=topic, calibration=self.calibration)
-        if self.sequence and self.calibration is None:
+        if self.sequence and self.sequence.camera and self.calibration is None:
             recording.camera = self.sequence.camera
         return recording
 

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from emoflow_ros import cli
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.errors import InputError
 from emoflow_ros.offline import compare
 from emoflow_ros.offline.ablation import ABLATIONS, ablate, table_of, variants_of
 from emoflow_ros.offline.arguments import (
@@ -23,11 +25,19 @@ from emoflow_ros.offline.arguments import (
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.evaluation import Evaluation, proceed
-from emoflow_ros.offline.protocols import PROTOCOLS, WINDOWS, Plan, make_plan
+from emoflow_ros.offline.protocols import (
+    CAUSAL,
+    POLICIES,
+    PROTOCOLS,
+    WINDOWS,
+    Plan,
+    make_plan,
+)
 from emoflow_ros.offline.provenance import versions
 from emoflow_ros.offline.readers import require_camera
 from emoflow_ros.offline.report import write_report
 from emoflow_ros.offline.sequences import find_sequence
+from emoflow_ros.offline.submission import Submission
 from emoflow_ros.offline.summary import summarise
 from emoflow_ros.offline.tracks import Tracker
 from emoflow_ros.offline.truth import load_truth
@@ -40,6 +50,9 @@ examples:
   evaluate shapes_rotation/ --window-ms 98 --out out/shapes
   evaluate indoor_flying1_data.hdf5 --sequence indoor_flying1 --protocol mvsec-dt4 \\
            --gt indoor_flying1_gt.bag indoor_flying1_gt_flow_dist.npz
+  evaluate zurich_city_02_a/ --protocol dsec
+  evaluate zurich_city_12_a/ --protocol dsec --timestamps zurich_city_12_a.csv \\
+           --submission out/submission
   evaluate recording.bag --tracks 150
   evaluate recording.bag --gt recording_gt.bag --ablate huber
   evaluate compare out/run1 out/run2     (runs side by side; evaluate compare --help)
@@ -71,7 +84,8 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         "input",
         type=Path,
         metavar="INPUT",
-        help="ROS 1 bag, rosbag2 folder, .mcap, .db3, or ECD folder with events.txt",
+        help="ROS 1 bag, rosbag2 folder, .mcap, .db3, MVSEC's *_data.hdf5, folder of a DSEC "
+        "sequence, or ECD folder with events.txt",
     )
     add(
         "--gt",
@@ -79,8 +93,9 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         nargs="+",
         default=[],
         metavar="GT",
-        help="ground truth: bags with poses and depth, MVSEC's *_gt_flow_dist.npz, ECD's "
-        "motion.txt or groundtruth.txt (default: what lies in an ECD folder)",
+        help="ground truth: bags or MVSEC's *_gt.hdf5 with poses and depth, MVSEC's "
+        "*_gt_flow_dist.npz and *_odom.npz, a DSEC sequence, ECD's motion.txt or groundtruth.txt "
+        "(default: what lies in the folder of an ECD or DSEC sequence)",
     )
     add_recording_options(parser)
     add_configuration_options(parser)
@@ -89,6 +104,26 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         default=WINDOWS,
         choices=PROTOCOLS,
         help="which intervals are compared (docs/evaluation.md; default: windows)",
+    )
+    add(
+        "--policy",
+        default=CAUSAL,
+        choices=POLICIES,
+        help="which events belong to an interval: its own, or the published code's fixed number, "
+        "also from the future (default: causal)",
+    )
+    add(
+        "--timestamps",
+        type=Path,
+        metavar="FILE",
+        help="DSEC's intervals of a test sequence, <sequence>.csv, or the folder with it "
+        "(default: in INPUT)",
+    )
+    add(
+        "--submission",
+        type=Path,
+        metavar="DIR",
+        help="write the flow images for DSEC's server into DIR/<sequence>",
     )
     add(
         "--out",
@@ -128,7 +163,16 @@ def _run(options: argparse.Namespace) -> int:
     with source.open() as recording:
         camera = require_camera(recording)
         truth = load_truth(recording, options.gt)
-        plan = make_plan(options.protocol, recording, truth, config.window, sequence)
+        plan = make_plan(
+            options.protocol,
+            recording,
+            truth,
+            config.window,
+            sequence,
+            clips=options.policy,
+            test_times=options.timestamps,
+        )
+        submission = _submission(options, plan, camera)
         make_folder(folder)
         checkpoint = Checkpoint(folder / "checkpoint.pickle", _identity(options, config, plan))
         done = checkpoint.load() if options.resume else None
@@ -152,6 +196,7 @@ def _run(options: argparse.Namespace) -> int:
                 plan.truth,
                 protocol=plan.description,
                 writer=writer,
+                submission=submission,
                 checkpoint=checkpoint,
                 max_windows=options.max_windows,
                 progress_bar=True,
@@ -171,6 +216,8 @@ def _run(options: argparse.Namespace) -> int:
     run.published = plan.published
     report, _ = write_report(run, config.flat(), folder, ablation)
     _print_summary(run, report)
+    if submission and not run.interrupted:
+        _finish(submission)
     if ablation:
         print(table_of(ablation))
     if ablation and ablation.interrupted:
@@ -180,6 +227,25 @@ def _run(options: argparse.Namespace) -> int:
         print("interrupted; the same command with --resume continues", file=sys.stderr)
         return cli.EXIT_INTERRUPTED
     return 0 if any(w.ok for w in run.windows) else _EXIT_NOTHING_ESTIMATED
+
+
+def _submission(options: argparse.Namespace, plan: Plan, camera: Camera) -> Submission | None:
+    """Prepare the flow images of --submission."""
+    if options.submission is None:
+        return None
+    if not plan.images:
+        raise InputError(
+            "--submission", f"the protocol '{options.protocol}' has none", "give --protocol dsec"
+        )
+    name = options.sequence or options.input.resolve().name
+    return Submission(options.submission, name, plan.images, camera, keep=options.resume)
+
+
+def _finish(submission: Submission) -> None:
+    missing = submission.finish()
+    print(submission.folder)
+    if missing:
+        print(f"{missing} of its images have no estimate and show no motion", file=sys.stderr)
 
 
 def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[str, Any]:
@@ -192,6 +258,7 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
         "protocol": plan.description,
         "configuration": config.flat(),
         "choice of --save-flow": options.save_flow,
+        "--submission": str(options.submission),
         "number of --tracks": options.tracks,
         "version": versions(),
     }

@@ -1,5 +1,6 @@
 """Run an estimator over a recording, window by window, and compare it with the truth."""
 
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
@@ -13,10 +14,12 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress, Slicer
+from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.gallery import Gallery
 from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.results import WindowResult, assess
+from emoflow_ros.offline.submission import Submission
 from emoflow_ros.offline.truth import Truth
 
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}{postfix}]"
@@ -35,6 +38,8 @@ class Evaluation:
         windows: one result per window.
         gallery: windows for pictures.
         interrupted: whether Ctrl-C ended it early.
+        wall_s: time that the run took, s: reading, estimating and comparing.
+        speed: of the camera, m/s, where it is given.
         published: figures of a paper to stand beside the summary, by their key.
     """
 
@@ -46,6 +51,8 @@ class Evaluation:
     windows: list[WindowResult] = field(default_factory=list)
     gallery: Gallery = field(default_factory=Gallery)
     interrupted: bool = False
+    wall_s: float = 0.0
+    speed: float | None = None
     published: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -93,6 +100,7 @@ def proceed(
     *,
     protocol: str = "",
     writer: EstimatesWriter | None = None,
+    submission: Submission | None = None,
     checkpoint: Checkpoint | None = None,
     max_windows: int | None = None,
     progress_bar: bool = False,
@@ -104,6 +112,7 @@ def proceed(
 
     Args:
         progress: a new run's, or that of a checkpoint.
+        submission: receives the flow that a benchmark asks for, if given.
         checkpoint: where progress is saved now and then, and removed at the end.
     """
     run = Evaluation(
@@ -123,15 +132,22 @@ def proceed(
         disable=not progress_bar,
         bar_format=_BAR,
     ) as bar:
+        began = time.perf_counter()
         try:
             for window in islice(_windows(recording, progress), left):
-                _process(progress, window, truth, writer)
+                _process(progress, window, truth, writer, submission)
+                ended = time.perf_counter()
+                progress.wall_s += ended - began
+                began = ended
                 if checkpoint is not None:
                     checkpoint.save_if_due(progress)
                 bar.set_postfix_str(_progress_line(run), refresh=False)
                 bar.update((window.t_end - (progress.first or 0)) / NS_PER_S - bar.n)
         except KeyboardInterrupt:
             run.interrupted = True
+            if writer is not None:
+                writer.truncate(len(run.windows))  # it may have come in the middle of a row
+    run.wall_s = progress.wall_s
     if checkpoint is not None and not run.interrupted:
         checkpoint.remove()
     return run
@@ -191,7 +207,11 @@ def _skip(chunks: Iterator[Events], count: int) -> Iterator[Events]:
 
 
 def _process(
-    progress: Progress, window: Window, truth: Truth, writer: EstimatesWriter | None
+    progress: Progress,
+    window: Window,
+    truth: Truth,
+    writer: EstimatesWriter | None,
+    submission: Submission | None,
 ) -> None:
     """Estimate and assess the first pending window."""
     estimate, note = attempt(progress.estimator, window)
@@ -201,7 +221,10 @@ def _process(
     result = assess(len(progress.windows), window, estimate, truth, note, track_errors)
     if writer is not None:
         writer.append(estimate, tracks)
-    progress.gallery.offer(window, estimate, result, tuple(tracker.recent) if tracker else ())
+    part = compared_part(window)
+    if submission is not None:
+        submission.offer(part.t_start, part.t_end, estimate)
+    progress.gallery.offer(part, estimate, result, tuple(tracker.recent) if tracker else ())
     progress.windows.append(result)
     progress.pending.popleft()
 

@@ -1,27 +1,39 @@
 """Which windows are estimated and compared: freely cut ones, or a benchmark's intervals."""
 
-from collections import deque
 from collections.abc import Mapping
-from collections.abc import Sequence as Ordered
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.windows import NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Slicer
 from emoflow_ros.offline.frames import frame_stamps
+from emoflow_ros.offline.intervals import (
+    ClipSlicer,
+    CroppedSlicer,
+    Interval,
+    IntervalSlicer,
+    with_lead_in,
+)
 from emoflow_ros.offline.readers import Recording
-from emoflow_ros.offline.sequences import Sequence
-from emoflow_ros.offline.truth import FlowSource, PropagatedFlow, TrueFlow, Truth
+from emoflow_ros.offline.readers.dsec import DsecRecording
+from emoflow_ros.offline.readers.dsec_folder import DsecFolder
+from emoflow_ros.offline.sequences import DSEC_CLIP, MVSEC_CLIP, Sequence
+from emoflow_ros.offline.truth import DsecFlow, FlowSource, PropagatedFlow, TrueFlow, Truth
+from emoflow_ros.offline.truth.dsec import DsecInterval, read_test_intervals
 
 WINDOWS = "windows"
+DSEC = "dsec"
 # Frames from the start to the end of an interval.
 FRAME_STEPS = {"mvsec-dt1": 1, "mvsec-dt4": 4}
+PROTOCOLS = (WINDOWS, *FRAME_STEPS, DSEC)
+CAUSAL, PAPER = "causal", "paper"
+POLICIES = (CAUSAL, PAPER)
 _PUBLISHED_STEP = 4
-PROTOCOLS = (WINDOWS, *FRAME_STEPS)
+_LEAD_IN = 4  # windows; a warm start has settled by then
 
 
 @dataclass(frozen=True)
@@ -31,14 +43,16 @@ class Plan:
     Attributes:
         slicer: cuts the windows.
         truth: what counts of the truth.
-        description: the protocol in words, for the report.
+        description: protocol and policy in words, for the report.
         published: figures of the paper that may stand beside the result.
+        images: the intervals that DSEC's benchmark asks flow images for.
     """
 
     slicer: Slicer
     truth: Truth
     description: str
     published: Mapping[str, float] = field(default_factory=dict)
+    images: tuple[DsecInterval, ...] = ()
 
 
 def make_plan(
@@ -47,53 +61,115 @@ def make_plan(
     truth: Truth,
     policy: WindowPolicy,
     sequence: Sequence | None = None,
+    *,
+    clips: str = CAUSAL,
+    test_times: Path | None = None,
 ) -> Plan:
     """Prepare a protocol.
 
     `windows` cuts the stream by `policy`. `mvsec-dt1` and `mvsec-dt4` estimate one window for
-    every frame, up to the 1st and 4th frame after it, from the events in between and no others.
+    every frame, up to the 1st and 4th frame after it, `dsec` one for every interval of the data
+    set's flow images or of a test sequence's list.
+
+    Args:
+        protocol: one of PROTOCOLS.
+        recording: opened.
+        truth: of the recording.
+        policy: of the windows of `windows`.
+        sequence: limits frames and rows.
+        clips: one of POLICIES: windows of the intervals' own events, or the published code's.
+        test_times: DSEC's `<sequence>.csv`, or a folder that holds it.
 
     Raises:
-        InputError: an unknown protocol, or a recording without frames.
+        InputError: something unknown, or a recording without what the protocol counts in.
     """
-    crop = ""
-    if sequence is not None and truth.flows is not None:
-        truth = replace(truth, flows=CroppedFlow(truth.flows, sequence.rows))
-        crop = f"; rows above {sequence.rows} of {sequence.camera.height} count"
+    _check("--protocol", protocol, PROTOCOLS)
+    _check("--policy", clips, POLICIES)
     if protocol == WINDOWS:
-        cut = (
-            f"windows of {policy.count} events"
-            if policy.count
-            else f"windows of {policy.duration_ms:g} ms every "
-            f"{policy.stride_ms or policy.duration_ms:g} ms"
-        )
-        return Plan(WindowSlicer(policy), truth, cut + crop)
-    if protocol not in FRAME_STEPS:
+        plan = _free_windows(truth, policy, clips)
+    elif protocol == DSEC:
+        plan = _dsec(recording, truth, sequence, clips, test_times)
+    else:
+        plan = _between_frames(protocol, recording, truth, sequence, clips)
+    return plan if sequence is None or sequence.rows is None else _cropped(plan, sequence.rows)
+
+
+def _free_windows(truth: Truth, policy: WindowPolicy, clips: str) -> Plan:
+    if clips == PAPER:
         raise InputError(
-            "--protocol", f"unknown protocol '{protocol}'", f"use one of {', '.join(PROTOCOLS)}"
+            "--policy paper",
+            f"the protocol '{WINDOWS}' has no intervals to cut clips for",
+            f"give --protocol {', '.join(PROTOCOLS[1:-1])} or {DSEC}",
         )
-    stamps, source = _stamps(recording, truth)
+    if policy.count:
+        words = f"windows of {policy.count} events"
+    else:
+        stride = policy.stride_ms or policy.duration_ms
+        words = f"windows of {policy.duration_ms:g} ms every {stride:g} ms"
+    return Plan(WindowSlicer(policy), truth, words)
+
+
+def _between_frames(
+    protocol: str, recording: Recording, truth: Truth, sequence: Sequence | None, clips: str
+) -> Plan:
     step = FRAME_STEPS[protocol]
+    stamps, source = _stamps(recording, truth)
     intervals = frame_intervals(stamps, step, sequence)
+    of_sequence = f" of {sequence.name}" if sequence else ""
     if not intervals:
         raise InputError(
             recording.path,
-            f"{len(stamps)} frames are too few for {protocol}"
-            + (f" on {sequence.name}" if sequence else ""),
+            f"{len(stamps)} frames are too few for {protocol}{of_sequence}",
             "give the whole recording, or leave --sequence out",
         )
-    description = (
-        f"{protocol}: from every {source} to number {step} after it, {len(intervals)} intervals"
-        + (f" of {sequence.name}" if sequence else "")
-        + crop
-    )
+    words = f"{protocol}: from every {source} to number {step} after it, "
+    words += f"{len(intervals)} intervals{of_sequence}"
     published = sequence.published if sequence and step == _PUBLISHED_STEP else {}
-    return Plan(IntervalSlicer(intervals), truth, description, published)
+    if clips == PAPER:
+        count = sequence.clip_events if sequence else MVSEC_CLIP
+        return Plan(ClipSlicer(intervals, count), truth, words + _clipped(count), published)
+    words += "; policy causal: the events of each and no others"
+    return Plan(IntervalSlicer(intervals), truth, words, published)
+
+
+def _dsec(
+    recording: Recording,
+    truth: Truth,
+    sequence: Sequence | None,
+    clips: str,
+    test_times: Path | None,
+) -> Plan:
+    images, source = _dsec_intervals(recording, truth, test_times)
+    intervals = [(image.start, image.end) for image in images]
+    words = f"{DSEC}: {len(intervals)} intervals of {source}"
+    published = sequence.published if sequence else {}
+    if clips == PAPER:
+        slicer: Slicer = ClipSlicer(intervals, DSEC_CLIP)
+        return Plan(slicer, truth, words + _clipped(DSEC_CLIP), published, images)
+    words += "; policy causal: the events of each and no others, "
+    words += f"after a gap up to {_LEAD_IN} windows to warm up on"
+    slicer = IntervalSlicer(with_lead_in(intervals, _LEAD_IN))
+    return Plan(slicer, truth, words, published, images)
+
+
+def _clipped(count: int) -> str:
+    return f"; policy paper: {count} events around each, also from the future"
+
+
+def _cropped(plan: Plan, rows: int) -> Plan:
+    """Leave events and truth from row `rows` on out of a plan."""
+    flows = plan.truth.flows
+    return replace(
+        plan,
+        slicer=CroppedSlicer(plan.slicer, rows),
+        truth=replace(plan.truth, flows=flows and CroppedFlow(flows, rows)),
+        description=f"{plan.description}; rows from {rows} on are left out",
+    )
 
 
 def frame_intervals(
     stamps: NDArray[np.int64], step: int, sequence: Sequence | None = None
-) -> list[tuple[int, int]]:
+) -> list[Interval]:
     """List the intervals (start, end) in ns from each frame to the step-th after it.
 
     The sequence limits the frames that intervals start at (first to last, inclusive), and a
@@ -111,48 +187,17 @@ def frame_intervals(
     return pairs
 
 
-class IntervalSlicer:
-    """Cut windows at given intervals, which start in order and may overlap.
-
-    An interval is complete when an event at or after its end has been seen. Intervals without
-    any event are left out.
-    """
-
-    def __init__(self, intervals: Ordered[tuple[int, int]]) -> None:
-        self._intervals = deque(intervals)
-        self._pending = Events.empty()
-
-    def push(self, events: Events) -> list[Window]:
-        """Take the next events and return the windows they complete."""
-        self._pending = Events.concatenate([self._pending, events])
-        windows = []
-        while self._intervals and len(self._pending):
-            start, end = self._intervals[0]
-            if self._pending.t[-1] < end:
-                break
-            self._intervals.popleft()
-            first, last = np.searchsorted(self._pending.t, [start, end])
-            if last > first:
-                windows.append(Window(start, end, self._pending[first:last]))
-        if self._intervals:
-            keep = int(np.searchsorted(self._pending.t, self._intervals[0][0]))
-            self._pending = self._pending[keep:]
-        else:
-            self._pending = Events.empty()
-        return windows
-
-
 class CroppedFlow:
     """True flow of which only the upper rows count."""
 
     def __init__(self, source: FlowSource, rows: int) -> None:
-        self.source = source
+        self._source = source
         self._rows = rows
         self.description = source.description
 
     def displacement(self, t0: int, t1: int) -> TrueFlow | None:
         """Return the source's displacement, not valid from row `rows` on."""
-        flow = self.source.displacement(t0, t1)
+        flow = self._source.displacement(t0, t1)
         if flow is None:
             return None
         valid = flow.valid.copy()
@@ -165,11 +210,39 @@ def _stamps(recording: Recording, truth: Truth) -> tuple[NDArray[np.int64], str]
     stamps = frame_stamps(recording)
     if stamps is not None:
         return stamps, "frame"
-    source = truth.flows.source if isinstance(truth.flows, CroppedFlow) else truth.flows
-    if isinstance(source, PropagatedFlow):
-        return source.stamps, "ground-truth stamp (the recording has no frames)"
+    if isinstance(truth.flows, PropagatedFlow):
+        return truth.flows.stamps, "ground-truth stamp (the recording has no frames)"
     raise InputError(
         recording.path,
         "no frames, which the MVSEC protocols count in",
         "give the original bag or HDF5 file, or the flow truth with --gt",
     )
+
+
+def _dsec_intervals(
+    recording: Recording, truth: Truth, test_times: Path | None
+) -> tuple[tuple[DsecInterval, ...], str]:
+    """Take the intervals of a list that was given, of the truth, or of the folder's list."""
+    if not isinstance(recording, DsecRecording) or not recording.rectified:
+        raise InputError(
+            recording.path,
+            f"the protocol '{DSEC}' counts pixels of the rectified view",
+            "give the folder of a DSEC sequence, without --calib",
+        )
+    if test_times is None and isinstance(truth.flows, DsecFlow):
+        return tuple(truth.flows.intervals), "the flow truth"
+    if test_times is not None and test_times.is_dir():
+        test_times = test_times / f"{recording.path.resolve().name}.csv"
+    path = test_times or DsecFolder(recording.path).test_times
+    if path is None:
+        raise InputError(
+            recording.path,
+            "neither flow truth (flow/forward) nor the benchmark's list of intervals",
+            "unpack the flow truth there, or give the list with --timestamps",
+        )
+    return tuple(read_test_intervals(path)), path.name
+
+
+def _check(option: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(option, f"unknown value '{value}'", f"use one of {', '.join(known)}")

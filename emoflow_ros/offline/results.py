@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.windows import Window
+from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.metrics import (
     FlowErrors,
     Mask,
@@ -31,7 +32,7 @@ class WindowResult:
 
     Attributes:
         index: position in the evaluation.
-        t_start, t_end: the window, ns.
+        t_start, t_end: the interval that is compared, ns: the window, but for clips.
         events: events in the window.
         status: a Status value.
         model: a MotionModel value.
@@ -139,34 +140,39 @@ def assess(
     note: str = "",
     tracks: TrackErrors | None = None,
 ) -> WindowResult:
-    """Compare one window's estimate with the truth.
+    """Compare one window's estimate with the truth, over the interval that is to be compared.
 
-    The displacement over the window is compared at the pixels that hold an event of the window
-    and whose truth is known (finite, |u| > 0 and |v| > 0).
+    The displacement is compared at the pixels that hold an event of the interval and whose truth
+    is known (finite, |u| > 0 and |v| > 0), or at all whose truth is known; see TrueFlow.
     """
+    part = compared_part(window)
     ok = estimate.status is Status.OK
     observable = estimate.translation_observable
     variance = np.diag(estimate.covariance).astype(np.float64)
-    flow, static_flow = _compare_flow(window, estimate, truth)
+    flow, static_flow = _compare_flow(part, estimate, truth)
+    t, linear, angular = estimate.t, estimate.linear, estimate.angular
+    if part is not window and estimate.motion is not None:
+        t = (part.t_start + part.t_end) // 2
+        linear, angular = estimate.motion.linear(t), estimate.motion.angular(t)
     known = ok & (variance >= 0) & ((np.arange(6) >= 3) | observable)
     return WindowResult(
         index=index,
-        t_start=window.t_start,
-        t_end=window.t_end,
+        t_start=part.t_start,
+        t_end=part.t_end,
         events=len(window.events),
         status=str(estimate.status),
         model=str(estimate.model),
-        linear=np.where(observable, estimate.linear, np.nan),
-        angular=np.where(ok, estimate.angular, np.nan),
+        linear=np.where(observable, linear, np.nan),
+        angular=np.where(ok, angular, np.nan),
         sigma=np.sqrt(np.where(known, variance, np.nan)),
-        truth=truth.twists.twist(estimate.t) if truth.twists else None,
+        truth=truth.twists.twist(t) if truth.twists else None,
         flow=flow,
         quality=estimate.quality,
         note=note,
         tracks=tracks,
         static_flow=static_flow,
-        other_truths=tuple(source.twist(estimate.t) for source in truth.other_twists),
-        pose=_true_pose(truth, estimate.t),
+        other_truths=tuple(source.twist(t) for source in truth.other_twists),
+        pose=_true_pose(truth, t),
     )
 
 
@@ -176,6 +182,8 @@ def _true_pose(truth: Truth, t: int) -> NDArray[np.float64] | None:
 
 def comparison_mask(window: Window, true_flow: TrueFlow) -> Mask:
     """Mark the pixels (H, W) that are compared."""
+    if true_flow.everywhere:
+        return true_flow.valid
     height, width = true_flow.valid.shape
     has_events = event_mask(window.events, width, height)
     return has_events & true_flow.valid & known_flow_mask(true_flow.displacement)

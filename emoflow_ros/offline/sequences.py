@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
@@ -29,6 +30,9 @@ _OUTDOOR = Camera(
     (-0.033904378348448685, -0.01537260902537579, -0.022284741346941413, 0.0069204143687187645),
 )
 _HOOD = 193  # the car's hood begins here
+MVSEC_CLIP = 30_000
+_OUTDOOR_CLIP = 40_000
+DSEC_CLIP = 1_500_000
 
 
 @dataclass(frozen=True)
@@ -37,24 +41,26 @@ class Sequence:
 
     Attributes:
         name: as the data set calls it.
-        camera: the left camera.
+        camera: the left camera; None where every recording brings its own calibration.
         first_frame, last_frame: the frames that evaluation intervals start at, inclusive;
             None means no limit.
         segment_s: limits (from, to) of the evaluated part, in s since the first frame.
-        rows: the image rows above this one count.
-        published: figures of the method's paper (arXiv 2510.12753, table of MVSEC at dt=4, without
-            early stopping) by their name in report.json.
+        rows: the image rows above this one count; None means all.
+        clip_events: events of one window in the published runs.
+        published: figures of the method's paper (arXiv 2510.12753, tables of MVSEC at dt=4,
+            without early stopping, and of DSEC) by their name in report.json.
         topic: the left camera's events in the data set's bags.
     """
 
     name: str
-    camera: Camera
+    camera: Camera | None
     first_frame: int = 0
     last_frame: int | None = None
     segment_s: tuple[float, float] | None = None
-    rows: int = 260
+    rows: int | None = None
+    clip_events: int = MVSEC_CLIP
     published: Mapping[str, float] = field(default_factory=dict)
-    topic: str = "/davis/left/events"
+    topic: str | None = "/davis/left/events"
 
 
 def _published(epe: float, angular: float, linear: float | None = None) -> dict[str, float]:
@@ -62,26 +68,42 @@ def _published(epe: float, angular: float, linear: float | None = None) -> dict[
     return figures if linear is None else figures | {"oracle_sign_linear_rms_m_s": linear}
 
 
+def _outdoor(name: str, **limits: Any) -> Sequence:
+    return Sequence(name, _OUTDOOR, rows=_HOOD, clip_events=_OUTDOOR_CLIP, **limits)
+
+
+def _dsec(name: str, epe: float | None = None) -> Sequence:
+    figures = {} if epe is None else {"epe_px": epe}
+    return Sequence(name, None, clip_events=DSEC_CLIP, published=figures, topic=None)
+
+
+# The training sequences of DSEC that have flow truth.
+_DSEC_WITH_TRUTH = (
+    "thun_00_a",
+    *(f"zurich_city_{name}" for name in ("01_a", "02_a", "02_c", "02_d", "02_e", "03_a", "05_a")),
+    *(f"zurich_city_{name}" for name in ("05_b", "06_a", "07_a", "08_a", "09_a", "10_a", "10_b")),
+    *(f"zurich_city_{name}" for name in ("11_a", "11_b", "11_c")),
+)
+
 _TABLE = (
     Sequence("indoor_flying1", _INDOOR, 60, 1340, published=_published(1.56, 3.44, 0.11)),
     Sequence("indoor_flying2", _INDOOR, 140, 1500, published=_published(2.04, 5.31, 0.12)),
     Sequence("indoor_flying3", _INDOOR, 100, 1711, published=_published(1.84, 4.12, 0.15)),
     Sequence("indoor_flying4", _INDOOR, 104, 380, published=_published(2.38, 5.10)),
-    Sequence("outdoor_day1", _OUTDOOR, last_frame=5020, rows=_HOOD),
-    Sequence(
-        "outdoor_day1_segment",
-        _OUTDOOR,
-        segment_s=(222.4, 240.4),
-        rows=_HOOD,
-        published=_published(1.61, 3.38, 0.76),
+    _outdoor("outdoor_day1", last_frame=5020),
+    _outdoor(
+        "outdoor_day1_segment", segment_s=(222.4, 240.4), published=_published(1.61, 3.38, 0.76)
     ),
-    Sequence(
-        "outdoor_day2",
-        _OUTDOOR,
-        last_frame=5020,
-        rows=_HOOD,
-        published=_published(3.49, 5.76),
-    ),
+    _outdoor("outdoor_day2", last_frame=5020, published=_published(3.49, 5.76)),
+    # The sequences of DSEC's flow benchmark; the figures are its server's.
+    _dsec("interlaken_00_b", 7.31),
+    _dsec("interlaken_01_a", 3.55),
+    _dsec("thun_01_a", 3.60),
+    _dsec("thun_01_b", 2.99),
+    _dsec("zurich_city_12_a", 3.28),
+    _dsec("zurich_city_14_c", 4.43),
+    _dsec("zurich_city_15_a", 2.90),
+    *map(_dsec, _DSEC_WITH_TRUTH),
 )
 SEQUENCES = {sequence.name: sequence for sequence in _TABLE}
 

@@ -7,12 +7,8 @@ import pytest
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.protocols import (
-    CroppedFlow,
-    IntervalSlicer,
-    frame_intervals,
-    make_plan,
-)
+from emoflow_ros.offline.intervals import CroppedSlicer
+from emoflow_ros.offline.protocols import CroppedFlow, frame_intervals, make_plan
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.sequences import SEQUENCES, Sequence, find_sequence
 from emoflow_ros.offline.truth import TrueFlow, Truth
@@ -42,19 +38,20 @@ def test_segment_holds_whole_intervals():
 
 
 @pytest.mark.parametrize(
-    ("name", "first", "last", "rows"),
+    ("name", "first", "last", "rows", "clip"),
     [
-        ("indoor_flying1", 60, 1340, 260),
-        ("indoor_flying2", 140, 1500, 260),
-        ("indoor_flying3", 100, 1711, 260),
-        ("indoor_flying4", 104, 380, 260),
-        ("outdoor_day1", 0, 5020, 193),
-        ("outdoor_day2", 0, 5020, 193),
+        ("indoor_flying1", 60, 1340, None, 30_000),
+        ("indoor_flying2", 140, 1500, None, 30_000),
+        ("indoor_flying3", 100, 1711, None, 30_000),
+        ("indoor_flying4", 104, 380, None, 30_000),
+        ("outdoor_day1", 0, 5020, 193, 40_000),
+        ("outdoor_day2", 0, 5020, 193, 40_000),
     ],
 )
-def test_published_frame_ranges(name, first, last, rows):
+def test_published_frame_ranges(name, first, last, rows, clip):
     sequence = find_sequence(name)
     assert (sequence.first_frame, sequence.last_frame, sequence.rows) == (first, last, rows)
+    assert sequence.clip_events == clip
     assert sequence.camera.model == "equidistant"
 
 
@@ -72,29 +69,6 @@ def test_published_figures_stand_beside_dt4_only(mvsec_file):
 def test_unknown_sequence_lists_the_known_ones():
     with pytest.raises(InputError, match="use one of indoor_flying1, indoor_flying2"):
         find_sequence("indoor_flying9")
-
-
-def stream(times):
-    t = np.asarray(times, np.int64)
-    n = len(t)
-    return Events(np.zeros(n, np.uint16), np.zeros(n, np.uint16), t, np.ones(n, bool))
-
-
-@pytest.mark.parametrize("chunk", [1, 3, 100])
-def test_interval_slicer_on_overlapping_intervals(chunk):
-    times = np.arange(0, 100)
-    slicer = IntervalSlicer([(5, 25), (10, 30), (28, 40), (98, 99)])
-    windows = []
-    for first in range(0, 100, chunk):
-        windows += slicer.push(stream(times[first : first + chunk]))
-    assert [(w.t_start, w.t_end) for w in windows] == [(5, 25), (10, 30), (28, 40), (98, 99)]
-    for w in windows:
-        np.testing.assert_array_equal(w.events.t, np.arange(w.t_start, w.t_end))
-
-
-def test_interval_slicer_leaves_out_what_is_empty_or_not_complete():
-    slicer = IntervalSlicer([(0, 10), (20, 30), (35, 50)])
-    assert [w.t_start for w in slicer.push(stream([1, 15, 31, 49]))] == [0]
 
 
 class FullFlow:
@@ -154,5 +128,6 @@ def test_windows_plan(tmp_path, mvsec_file):
         )
     assert isinstance(plan.slicer, WindowSlicer)
     assert plan.description == "windows of 50 ms every 25 ms"
-    assert cropped.description.endswith("rows above 193 of 260 count")
+    assert cropped.description.endswith("; rows from 193 on are left out")
     assert isinstance(cropped.truth.flows, CroppedFlow)
+    assert isinstance(cropped.slicer, CroppedSlicer)

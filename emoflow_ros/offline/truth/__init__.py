@@ -1,5 +1,6 @@
 """Ground truth of recordings: velocity of the camera and displacement of its pixels."""
 
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -7,13 +8,18 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.readers.bag import BagRecording
+from emoflow_ros.offline.readers.dsec_folder import DsecFolder
 from emoflow_ros.offline.truth.bag import load_bag_truth
 from emoflow_ros.offline.truth.base import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
+from emoflow_ros.offline.truth.dsec import DsecFlow
 from emoflow_ros.offline.truth.ecd import load_gyro, load_motion, load_poses
 from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
+from emoflow_ros.offline.truth.mvsec_hdf5 import is_mvsec_truth, load_mvsec_truth
 from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
+from emoflow_ros.offline.truth.odom_npz import SmoothedOdometry
 
 __all__ = [
+    "DsecFlow",
     "FlowSource",
     "PropagatedFlow",
     "TrueFlow",
@@ -36,17 +42,17 @@ def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
 
     Args:
         recording: the recording, with a camera.
-        paths: bags with poses and depth, MVSEC's flow npz, ECD's `motion.txt`,
-            `groundtruth.txt` or `imu.txt`. Without any, what lies inside the recording's folder.
-            Of several velocities the first one counts and the others stand beside it; of several
-            flows the first one counts, flow maps before depth.
+        paths: bags or an MVSEC `*_gt.hdf5` with poses and depth, MVSEC's flow or odometry npz,
+            a DSEC sequence, ECD's `motion.txt`, `groundtruth.txt` or `imu.txt`. Without any, what
+            lies inside the recording's folder. Of several velocities the first one counts and
+            the others stand beside it, smoothed ones last; of several flows the first one
+            counts, flow maps before depth.
 
     Raises:
         InputError: a file that is missing or of no known format.
     """
     camera = require_camera(recording)
-    if not paths:
-        paths = [recording.path / name for name in _BY_NAME if (recording.path / name).is_file()]
+    paths = paths or _inside(recording.path)
     parts = [_load(path, camera, recording.topic) for path in sorted(paths, key=_rank)]
     twists = [part.twists for part in parts if part.twists]
     return Truth(
@@ -57,8 +63,17 @@ def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
     )
 
 
-def _rank(path: Path) -> bool:
-    return path.suffix != ".npz"
+def _inside(path: Path) -> list[Path]:
+    """List the ground truth that lies in a recording's folder."""
+    if DsecFolder(path).recognised:
+        return [path] if DsecFolder(path).has_flow else []
+    return [path / name for name in _BY_NAME if (path / name).is_file()]
+
+
+def _rank(path: Path) -> int:
+    if path.suffix != ".npz":
+        return 1
+    return 2 if _is_odometry(path) else 0
 
 
 def _load(path: Path, camera: Camera, topic: str) -> Truth:
@@ -67,11 +82,23 @@ def _load(path: Path, camera: Camera, topic: str) -> Truth:
     if path.name in _BY_NAME:
         return _BY_NAME[path.name](path, camera)
     if path.suffix == ".npz":
+        if _is_odometry(path):
+            return Truth(SmoothedOdometry(path))
         return Truth(flows=PropagatedFlow(MvsecFlowMaps(path)))
     if BagRecording.matches(path):
         return load_bag_truth(path, camera, topic.rpartition("/")[0])
+    if is_mvsec_truth(path):
+        return load_mvsec_truth(path, camera)
+    if DsecFolder(path).recognised:
+        return Truth(flows=DsecFlow(DsecFolder(path)))
     raise InputError(
         path,
         "not ground truth of a known format",
-        f"give a bag, an MVSEC flow npz, {' or '.join(_BY_NAME)}",
+        "give a bag, an MVSEC gt.hdf5, flow or odometry npz, a DSEC sequence, "
+        f"{' or '.join(_BY_NAME)}",
     )
+
+
+def _is_odometry(path: Path) -> bool:
+    """Whether an npz archive holds velocities instead of flow."""
+    return zipfile.is_zipfile(path) and "lin_vel.npy" in zipfile.ZipFile(path).namelist()

@@ -28,11 +28,14 @@ class TrueFlow:
         displacement: (H, W, 2) px, u right and v down; zero where not valid.
         valid: (H, W), where the truth is known.
         moving: (H, W), what sees an object that moves by itself; None where that is unknown.
+        everywhere: whether all valid pixels are compared, as DSEC's benchmark does, instead of
+            those that hold events and have |u| > 0 and |v| > 0, as MVSEC's does.
     """
 
     displacement: NDArray[np.float32]
     valid: NDArray[np.bool_]
     moving: NDArray[np.bool_] | None = None
+    everywhere: bool = False
 
 
 class TwistSource(Protocol):

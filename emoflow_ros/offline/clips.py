@@ -1,0 +1,21 @@
+"""Windows that hold other events than the interval that they are compared over."""
+
+from dataclasses import dataclass
+
+from emoflow_ros.core.windows import Window
+
+
+@dataclass(frozen=True, slots=True)
+class Clip(Window):
+    """A window whose estimate is compared over an interval inside it.
+
+    Attributes:
+        compared: the interval with all of its events, of which the window may hold more or fewer.
+    """
+
+    compared: Window
+
+
+def compared_part(window: Window) -> Window:
+    """Return the interval that a window's estimate is compared over, with its events."""
+    return window.compared if isinstance(window, Clip) else window

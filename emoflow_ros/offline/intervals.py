@@ -1,0 +1,118 @@
+"""Windows for given intervals: of their own events, or clips of a fixed number of events."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import Window
+from emoflow_ros.offline.checkpoint import Slicer
+from emoflow_ros.offline.clips import Clip
+
+Interval = tuple[int, int]  # start, end in ns
+
+
+class IntervalSlicer:
+    """Cut windows at given intervals, which start in order and may overlap.
+
+    An interval is complete when an event at or after its end has been seen. Intervals without
+    any event are left out.
+    """
+
+    def __init__(self, intervals: Sequence[Interval]) -> None:
+        self._intervals = deque(intervals)
+        self._pending = Events.empty()
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events and return the windows they complete."""
+        self._pending = Events.concatenate([self._pending, events])
+        windows = []
+        while self._intervals and len(self._pending):
+            start, end = self._intervals[0]
+            if self._pending.t[-1] < end:
+                break
+            self._intervals.popleft()
+            first, last = np.searchsorted(self._pending.t, [start, end])
+            if last > first:
+                windows.append(Window(start, end, self._pending[first:last]))
+        self._pending = _without_past(self._pending, self._intervals, 0)
+        return windows
+
+
+class ClipSlicer:
+    """Cut clips of `count` events around given intervals, as the published code does.
+
+    Where an interval holds fewer events, half of those that are missing come from before it and
+    half from after it, that is from the future; where it holds more, its last `count` are taken.
+    The window spans the interval and the events. Intervals without any event are left out.
+    """
+
+    def __init__(self, intervals: Sequence[Interval], count: int) -> None:
+        self._intervals = deque(intervals)
+        self._count = count
+        self._pending = Events.empty()
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events and return the clips they complete."""
+        self._pending = Events.concatenate([self._pending, events])
+        clips: list[Window] = []
+        while self._intervals and len(self._pending):
+            start, end = self._intervals[0]
+            first, last = (int(i) for i in np.searchsorted(self._pending.t, [start, end]))
+            half = max(0, self._count - (last - first)) // 2
+            if self._pending.t[-1] < end or len(self._pending) < last + half:
+                break
+            self._intervals.popleft()
+            if last > first:
+                begin = max(0, first - half) if half else max(first, last - self._count)
+                clips.append(
+                    _clip(start, end, self._pending[first:last], self._pending[begin : last + half])
+                )
+        self._pending = _without_past(self._pending, self._intervals, self._count // 2)
+        return clips
+
+
+class CroppedSlicer:
+    """Leave the events from row `rows` on out of another slicer's windows."""
+
+    def __init__(self, slicer: Slicer, rows: int) -> None:
+        self._slicer = slicer
+        self._rows = rows
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events and return the windows they complete."""
+        return [self._crop(window) for window in self._slicer.push(events)]
+
+    def _crop(self, window: Window) -> Window:
+        above = window.events[window.events.y < self._rows]
+        if isinstance(window, Clip):
+            return replace(window, events=above, compared=self._crop(window.compared))
+        return replace(window, events=above)
+
+
+def with_lead_in(intervals: Sequence[Interval], count: int) -> list[Interval]:
+    """Put up to `count` intervals of the same length before each that joins no other one."""
+    result: list[Interval] = []
+    last_end: int | None = None
+    for start, end in intervals:
+        length = end - start
+        room = count if last_end is None else min(count, (start - last_end) // length)
+        result += [(start - k * length, start - (k - 1) * length) for k in range(room, 0, -1)]
+        result.append((start, end))
+        last_end = end
+    return result
+
+
+def _clip(start: int, end: int, inside: Events, events: Events) -> Clip:
+    t_start = min(start, int(events.t[0]))
+    t_end = max(end, int(events.t[-1]) + 1)
+    return Clip(t_start, t_end, events, Window(start, end, inside))
+
+
+def _without_past(events: Events, intervals: Sequence[Interval], margin: int) -> Events:
+    """Keep what the next interval needs: its events and `margin` events before it."""
+    if not intervals:
+        return Events.empty()
+    return events[max(0, int(np.searchsorted(events.t, intervals[0][0])) - margin) :]
