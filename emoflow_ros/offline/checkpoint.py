@@ -46,6 +46,7 @@ class Progress:
         windows: the results so far.
         gallery: the windows kept for pictures.
         tracker: carries points along, if wanted.
+        wall_s: time that the run has taken so far, s.
     """
 
     estimator: Estimator
@@ -56,6 +57,7 @@ class Progress:
     windows: list[WindowResult] = field(default_factory=list)
     gallery: Gallery = field(default_factory=Gallery)
     tracker: Tracker | None = None
+    wall_s: float = 0.0
 
 
 class Checkpoint:

@@ -113,7 +113,12 @@ class EstimatesWriter:
         except OSError as error:
             raise InputError(path, f"cannot be written ({error})", "give another --out") from None
         if keep:
-            self._truncate(path, keep)
+            if len(self._file["t_start_ns"]) < keep:
+                self._file.close()
+                raise InputError(
+                    path, f"has fewer than {keep} rows", "start again without --resume"
+                )
+            self.truncate(keep)
             return
         self._file.attrs.update(
             {
@@ -176,6 +181,11 @@ class EstimatesWriter:
             dataset[-1] = value
         self._file.flush()
 
+    def truncate(self, rows: int) -> None:
+        """Remove what there is beyond the first `rows` windows."""
+        for dataset in self._file.values():
+            dataset.resize(min(rows, len(dataset)), axis=0)
+
     def __enter__(self) -> Self:
         return self
 
@@ -186,13 +196,6 @@ class EstimatesWriter:
         trace: TracebackType | None,
     ) -> None:
         self._file.close()
-
-    def _truncate(self, path: Path, rows: int) -> None:
-        if len(self._file["t_start_ns"]) < rows:
-            self._file.close()
-            raise InputError(path, f"has fewer than {rows} rows", "start again without --resume")
-        for dataset in self._file.values():
-            dataset.resize(rows, axis=0)
 
     def _create(
         self, name: str, column: _Column, chunk: tuple[int, ...], **storage: object

@@ -152,6 +152,22 @@ def test_interrupt_keeps_what_is_done(folder, tmp_path):
     assert len(read_estimates(tmp_path / "e.h5")) == 2
 
 
+def test_interrupt_in_the_middle_of_a_row_leaves_no_part_of_it(folder, tmp_path):
+    class Interrupted(EstimatesWriter):
+        rows = 0
+
+        def append(self, estimate, tracks=None):
+            super().append(estimate, tracks)
+            self.rows += 1
+            if self.rows == 3:
+                raise KeyboardInterrupt
+
+    with Interrupted(tmp_path / "e.h5", camera=CAMERA, source="", configuration={}) as writer:
+        done = run(folder, writer=writer)
+    assert done.interrupted
+    assert len(done.windows) == len(read_estimates(tmp_path / "e.h5")) == 2
+
+
 def test_report_holds_the_values(folder, tmp_path):
     done = run(folder, KnownErrors(fail_at=(2,)))
     done.published = {"epe_px": 1.56}
