@@ -61,10 +61,10 @@ class PropagatedFlow:
         first = int(np.searchsorted(stamps, t0, side="right")) - 1
         last = int(np.searchsorted(stamps, t1, side="left"))
         height, width = self._map(first).flow.shape[:2]
-        start = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
-        at = start.astype(np.float64)
-        valid = np.ones((height, width), np.bool_)
-        moving = np.zeros((height, width), np.bool_)
+        start = np.indices((height, width), np.float64)[::-1].reshape(2, -1)
+        at = start.copy()
+        valid = np.ones(height * width, np.bool_)
+        moving = np.zeros(height * width, np.bool_)
         for index in range(first, last):
             begin, end = int(stamps[index]), int(stamps[index + 1])
             share = (min(end, t1) - max(begin, t0)) / (end - begin)
@@ -72,10 +72,11 @@ class PropagatedFlow:
             step, known, on_mover = _look_up(flow_map, at)
             valid &= known
             moving |= on_mover
-            at += share * step
-        moved = np.where(valid[..., None], at - start, 0)
+            at += share * step.astype(np.float64)
+        moved = np.where(valid, at - start, 0).astype(np.float32).T.reshape(height, width, 2)
         told = flow_map.moving is not None
-        return TrueFlow(moved.astype(np.float32), valid, moving if told else None)
+        valid, moving = valid.reshape(height, width), moving.reshape(height, width)
+        return TrueFlow(moved, valid, moving if told else None)
 
     def _map(self, index: int) -> _Map:
         if index not in self._kept:
@@ -87,19 +88,20 @@ class PropagatedFlow:
 
 def _look_up(
     flow_map: _Map, at: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Flow at the pixels nearest to `at`, both (H, W, 2); where it is known, else it is zero.
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Flow at the pixels nearest to `at`, both (2, N); where it is known, else it is zero.
 
     Returns:
         The flow, where it is known, and which of the pixels see a moving object.
     """
-    flow = flow_map.flow
-    height, width = flow.shape[:2]
-    column, row = (np.rint(at[..., i]).astype(np.intp) for i in (0, 1))
+    height, width = flow_map.flow.shape[:2]
+    column, row = np.rint(at).astype(np.int32)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    nearest = np.where(inside, row, 0), np.where(inside, column, 0)
-    step = flow[nearest].astype(np.float64)
-    known = inside & np.isfinite(step).all(axis=-1) & step.any(axis=-1)
-    step[~known] = 0
-    on_mover = np.zeros_like(inside) if flow_map.moving is None else flow_map.moving[nearest]
-    return step, known, inside & on_mover
+    nearest = np.where(inside, row * width + column, 0)
+    step = flow_map.flow.reshape(-1, 2).take(nearest, axis=0).T
+    known = inside & np.isfinite(step[0]) & np.isfinite(step[1]) & ((step[0] != 0) | (step[1] != 0))
+    if flow_map.moving is None:
+        on_mover = np.zeros_like(inside)
+    else:
+        on_mover = inside & flow_map.moving.ravel()[nearest]
+    return np.where(known, step, np.float32(0)), known, on_mover
