@@ -31,7 +31,8 @@ def known_flow_mask(truth: Flow) -> Mask:
 
     MVSEC's files hold zeros where nothing is known, hence the second condition.
     """
-    return np.asarray(np.isfinite(truth).all(axis=-1) & (truth != 0).all(axis=-1))
+    u, v = truth[..., 0], truth[..., 1]
+    return np.asarray(np.isfinite(u) & np.isfinite(v) & (u != 0) & (v != 0))
 
 
 @dataclass(frozen=True)
