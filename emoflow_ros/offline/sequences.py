@@ -64,8 +64,8 @@ class Sequence:
 
 
 def _published(epe: float, angular: float, linear: float | None = None) -> dict[str, float]:
-    figures = {"epe_px": epe, "angular_rms_deg_s": angular}
-    return figures if linear is None else figures | {"oracle_sign_linear_rms_m_s": linear}
+    figures = {"epe_px": epe, "paper_angular_rms_deg_s": angular}
+    return figures if linear is None else figures | {"paper_linear_rms_m_s": linear}
 
 
 def _outdoor(name: str, **limits: Any) -> Sequence:

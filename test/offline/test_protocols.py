@@ -63,7 +63,7 @@ def test_published_figures_stand_beside_dt4_only(mvsec_file):
             for protocol in ("windows", "mvsec-dt1", "mvsec-dt4")
         ]
     assert [dict(plan.published) for plan in plans] == [{}, {}, {"epe_px": 1.5}]
-    assert SEQUENCES["indoor_flying1"].published["angular_rms_deg_s"] == 3.44
+    assert SEQUENCES["indoor_flying1"].published["paper_angular_rms_deg_s"] == 3.44
 
 
 def test_unknown_sequence_lists_the_known_ones():

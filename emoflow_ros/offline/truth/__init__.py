@@ -86,7 +86,8 @@ def _load(path: Path, camera: Camera, topic: str) -> Truth:
             return Truth(SmoothedOdometry(path))
         return Truth(flows=PropagatedFlow(MvsecFlowMaps(path)))
     if BagRecording.matches(path):
-        return load_bag_truth(path, camera, topic.rpartition("/")[0])
+        namespace = topic.strip("/").rpartition("/")[0]  # HDF5 files have no leading slash
+        return load_bag_truth(path, camera, f"/{namespace}")
     if is_mvsec_truth(path):
         return load_mvsec_truth(path, camera)
     if DsecFolder(path).recognised:
