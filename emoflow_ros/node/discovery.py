@@ -1,6 +1,8 @@
 """Which topic carries the events, and of which type: read from the graph, never guessed."""
 
 import importlib
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +11,14 @@ from rclpy.node import Node
 from emoflow_ros.errors import InputError
 from msg_adapters import supported_types
 
+# The graph is discovered piece by piece: this long without a change it counts as known.
+SETTLING_S = 1.0
+
 # Lidars publish these, too: only a topic that was asked for is taken for an event stream.
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class EventTopic:
     """A topic and its message type, as in `dvs_msgs/msg/EventArray`."""
 
@@ -26,39 +31,75 @@ class EventTopic:
         return f"{self.name.rpartition('/')[0]}/camera_info"
 
 
-def find_event_topic(node: Node, wanted_type: str) -> EventTopic | None:
-    """Find the topic to listen to.
+class TopicSearch:
+    """Looks at the graph, again and again, for the topic to listen to.
 
-    That is `events`, remapped or not, if somebody publishes it. If it is not remapped and
-    nobody publishes it, the only event topic in the graph is taken.
+    That is `events`, remapped or not, as soon as somebody publishes it. If it is not remapped and
+    nobody publishes it, the only event topic in the graph is taken, once it has been the only one
+    for SETTLING_S.
 
     Args:
         node: whose graph and remapping count.
         wanted_type: the parameter `input.type`; empty for the type that is published.
-
-    Returns:
-        The topic, or None while there is none.
-
-    Raises:
-        InputError: a type that cannot be decoded, or several topics to choose from.
+        clock: monotonic time in s.
     """
-    name = node.resolve_topic_name("events")
-    if wanted_type:
-        return EventTopic(name, _supported(name, wanted_type))
-    graph = {topic: types[0] for topic, types in node.get_topic_names_and_types()}
-    if name in graph and node.count_publishers(name):
-        return EventTopic(name, _supported(name, graph[name]))
-    if name != node.resolve_topic_name("events", only_expand=True):
-        return None
-    known = set(supported_types()) - {_AMBIGUOUS}
-    found = [t for t in graph if graph[t] in known and node.count_publishers(t)]
-    if len(found) > 1:
-        raise InputError(
-            "events",
-            f"{len(found)} event topics: {', '.join(sorted(found))}",
-            f"choose with --ros-args -r events:={min(found)}",
-        )
-    return EventTopic(found[0], graph[found[0]]) if found else None
+
+    def __init__(
+        self, node: Node, wanted_type: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._node = node
+        self._wanted_type = wanted_type
+        self._clock = clock
+        self._found: frozenset[EventTopic] = frozenset()
+        self._since = clock()
+
+    @property
+    def name(self) -> str:
+        """Full name of `events`, as remapped."""
+        return str(self._node.resolve_topic_name("events"))
+
+    def look(self) -> EventTopic | None:
+        """Look once.
+
+        Returns:
+            The topic, or None while there is none.
+
+        Raises:
+            InputError: a type that cannot be decoded, or several topics to choose from.
+        """
+        if self._wanted_type:
+            return EventTopic(self.name, _supported(self.name, self._wanted_type))
+        graph = self._published()
+        if self.name in graph:
+            return EventTopic(self.name, _supported(self.name, graph[self.name]))
+        if self.name != self._node.resolve_topic_name("events", only_expand=True):
+            return None
+        found = _event_topics(graph)
+        if found != self._found:
+            self._found, self._since = found, self._clock()
+        if len(found) > 1:
+            names = sorted(topic.name for topic in found)
+            raise InputError(
+                "events",
+                f"{len(found)} event topics: {', '.join(names)}",
+                f"choose with --ros-args -r events:={names[0]}",
+            )
+        if not found or self._clock() - self._since < SETTLING_S:
+            return None
+        return min(found)
+
+    def others(self, taken: EventTopic) -> list[str]:
+        """Name the event topics in the graph besides the one that was taken."""
+        return sorted(topic.name for topic in _event_topics(self._published()) - {taken})
+
+    def _published(self) -> dict[str, str]:
+        """Types by name, of `events` and of all topics of event types that somebody publishes."""
+        return {
+            name: types[0]
+            for name, types in self._node.get_topic_names_and_types()
+            if (name == self.name or types[0] in supported_types())
+            and self._node.count_publishers(name)
+        }
 
 
 def import_message_type(ros_type: str) -> Any:
@@ -77,6 +118,11 @@ def import_message_type(ros_type: str) -> Any:
             f"install ros-jazzy-{package.replace('_', '-')} or build {package}, "
             "source its setup file and try again",
         ) from None
+
+
+def _event_topics(graph: dict[str, str]) -> frozenset[EventTopic]:
+    known = set(supported_types()) - {_AMBIGUOUS}
+    return frozenset(EventTopic(name, graph[name]) for name in graph if graph[name] in known)
 
 
 def _supported(name: str, ros_type: str) -> str:

@@ -14,7 +14,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
-from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.discovery import EventTopic, TopicSearch
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.outputs import Outputs
@@ -72,6 +72,7 @@ class EstimatorNode(LifecycleNode):
         self._source: EventSource | None = None
         self._input: EventInput | None = None
         self._camera: Camera | None = None
+        self._topic: EventTopic | None = None
         self._epoch = 0
         self._statistics = Statistics()
         self._outcomes: SimpleQueue[Outcome] = SimpleQueue()
@@ -123,7 +124,7 @@ class EstimatorNode(LifecycleNode):
         options = self._settings.node.camera
         self._source = EventSource(
             self,
-            wanted_type=self._settings.node.input.type,
+            search=TopicSearch(self, self._settings.node.input.type),
             is_ready=self._supervisor.ready.is_set,
             callbacks=Callbacks(
                 topic=self._take_topic,
@@ -183,7 +184,12 @@ class EstimatorNode(LifecycleNode):
             self._supervisor.configure(self._camera, settings.config)
 
     def _take_topic(self, topic: EventTopic) -> None:
+        assert self._supervisor is not None
         settings = self._settings
+        if topic != self._topic and not settings.node.camera.calibration_file:
+            self._camera = None
+            self._supervisor.unconfigure()
+        self._topic = topic
         self._input = EventInput(
             topic.type,
             settings.config.window,

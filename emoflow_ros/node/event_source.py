@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -10,13 +12,12 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import EventTopic, find_event_topic, import_message_type
+from emoflow_ros.node.discovery import EventTopic, TopicSearch, import_message_type
 from emoflow_ros.node.statistics import Level, Statistics
 
 _EVENT_DEPTH = 1000  # as event camera drivers publish
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LOOK_S = 0.1
-_LOOKS_TO_SETTLE = 5  # the graph is discovered piece by piece
 _THROTTLE_S = 5.0
 
 
@@ -25,7 +26,8 @@ class Callbacks:
     """Who gets what.
 
     Attributes:
-        topic: told once which topic was found.
+        topic: told which topic was found; again if before the first event it turns out to be
+            another one.
         events: each serialised event message.
         camera_info: each calibration; None if the node has one.
     """
@@ -38,9 +40,12 @@ class Callbacks:
 class EventSource:
     """Looks for the event topic until it is there, then subscribes.
 
+    A topic that nobody asked for is given up again if another one appears before its first
+    event, and the choice is open again; once events flow, another one is only named in the log.
+
     Args:
         node: to subscribe with.
-        wanted_type: the parameter `input.type`.
+        search: decides what to listen to.
         is_ready: whether messages can be taken yet.
         callbacks: who gets what.
         statistics: told while there is no topic.
@@ -50,56 +55,81 @@ class EventSource:
         self,
         node: Node,
         *,
-        wanted_type: str,
+        search: TopicSearch,
         is_ready: Callable[[], bool],
         callbacks: Callbacks,
         statistics: Statistics,
     ) -> None:
         self._node = node
-        self._wanted_type = wanted_type
         self._is_ready = is_ready
         self._callbacks = callbacks
         self._statistics = statistics
+        self._search = search
         self._subscriptions: list[Subscription] = []
-        self._candidate: EventTopic | None = None
-        self._looks = 0
-        self._timer = node.create_timer(_LOOK_S, self._look)
+        self._topic: EventTopic | None = None
+        self._hears_events = False
+        self._named: list[str] = []
+        # Looking must go on while a simulated clock stands still, for example before a replay.
+        self._timer = node.create_timer(
+            _LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def stop(self) -> None:
-        """Unsubscribe, or look no longer."""
+        """Unsubscribe, and look no longer."""
         self._node.destroy_timer(self._timer)
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        self._unsubscribe()
         self._statistics.clear_problem("input")
 
     def _look(self) -> None:
         if not self._is_ready():
             self._statistics.set_problem("input", Level.WARN, "the worker is starting")
             return
+        if self._hears_events:
+            self._name_others()
+            return
         try:
-            topic = find_event_topic(self._node, self._wanted_type)
-            if topic is not None and self._is_settled(topic):
+            topic = self._search.look()
+            if topic is not None and topic != self._topic:
+                self._unsubscribe()
                 self._subscribe(topic)
         except InputError as error:
+            self._unsubscribe()
             self._statistics.set_problem("input", Level.ERROR, str(error))
             self._node.get_logger().error(str(error), throttle_duration_sec=_THROTTLE_S)
             return
-        if topic is None:
-            name = self._node.resolve_topic_name("events")
-            waiting = f"waiting for events: nobody publishes {name}"
+        if self._topic is None:
+            waiting = f"waiting for events: nobody publishes {self._search.name}"
             self._statistics.set_problem("input", Level.WARN, waiting)
             self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
 
-    def _is_settled(self, topic: EventTopic) -> bool:
-        """Whether to take the topic: one that was not asked for must stay the only one."""
-        self._looks = self._looks + 1 if topic == self._candidate else 0
-        self._candidate = topic
-        asked_for = topic.name == self._node.resolve_topic_name("events")
-        return asked_for or self._looks >= _LOOKS_TO_SETTLE
+    def _name_others(self) -> None:
+        """Say, when that changes, which event topics there are besides the one in use."""
+        assert self._topic is not None
+        others = self._search.others(self._topic)
+        if others and others != self._named:
+            self._node.get_logger().warning(
+                f"listening to {self._topic.name}; event topics besides it: {', '.join(others)}; "
+                f"choose with --ros-args -r events:={others[0]}",
+                throttle_duration_sec=_THROTTLE_S,
+            )
+        self._named = others
+
+    def _take_events(self, data: bytes) -> None:
+        self._hears_events = True
+        self._callbacks.events(data)
+
+    def _unsubscribe(self) -> None:
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+        self._topic = None
+        self._statistics.clear_problem("camera")
 
     def _subscribe(self, topic: EventTopic) -> None:
         message_type = import_message_type(topic.type)
-        self._node.destroy_timer(self._timer)
+        self._topic = topic
+        if topic.name == self._search.name:  # asked for: there is nothing left to decide
+            self._node.destroy_timer(self._timer)
         self._statistics.clear_problem("input")
         self._callbacks.topic(topic)
         if self._callbacks.camera_info is not None:
@@ -116,7 +146,7 @@ class EventSource:
             self._node.create_subscription(
                 message_type,
                 topic.name,
-                self._callbacks.events,
+                self._take_events,
                 _event_qos(self._node, topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,

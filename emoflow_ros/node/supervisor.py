@@ -87,6 +87,10 @@ class Supervisor:
         """Set what the next windows are estimated with. Windows wait until this was called."""
         self._setup = (camera, config)
 
+    def unconfigure(self) -> None:
+        """Let windows wait until `configure` is called again."""
+        self._setup = None
+
     @property
     def pid(self) -> int | None:
         """The worker's process id, None while there is none."""
@@ -124,15 +128,17 @@ class Supervisor:
 
     def _serve_next(self) -> bool:
         """Run the oldest task, if there is one and the camera is known."""
-        if self._setup is None:
+        setup = self._setup
+        if setup is None:
             self._stopping.wait(_IDLE_S)
             return False
         task = self._task = self.queue.get(_IDLE_S)
         if task is None:
             self._check_idle_worker()
             return False
-        if self._setup != self._configured:
-            self._configure(*self._setup)
+        setup = self._setup or setup  # what holds now that a window has come
+        if setup != self._configured:
+            self._configure(*setup)
         cold = task.epoch != self._epoch
         if cold:
             self._last_twist = -1

@@ -1,6 +1,7 @@
 """ROS on this machine only, on a domain of this test run's own."""
 
 import os
+import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,22 @@ import pytest
 
 _HERE = Path(__file__).parent
 sys.path.insert(0, str(_HERE))
-os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
+
+
+def _free_domain() -> int:
+    """Find a domain without participants: the port of a first one (DDSI-RTPS 9.6.2.4) is free."""
+    for attempt in range(90):
+        domain = 10 + (os.getpid() + attempt) % 90
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+            return domain
+    raise RuntimeError("all ROS domains are in use")
+
+
+os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_messages.sh")

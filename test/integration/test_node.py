@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import CAMERA, MS, Peer, Processes, children
+from harness import CAMERA, MS, WAIT_S, Peer, Processes, children
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -167,9 +167,14 @@ def test_silence_warns_and_ends_without_a_restart(peer: Peer, processes: Process
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: "no events for" in peer.status()["message"], "the warning")
-    run_windows(peer, 1015, 1021)
-    peer.spin_until(lambda: peer.status()["message"] == "running", "the recovery")
-    peer.spin_until(lambda: len(peer.twists) == 2, "both windows")
+    clock = iter(range(1015, 100_000, 5))
+
+    def recovered() -> bool:
+        peer.publish_events(next(clock) * MS)
+        return peer.status()["message"] == "running"
+
+    peer.spin_until(recovered, "the recovery")
+    peer.spin_until(lambda: len(peer.twists) >= 2, "windows before and after the silence")
 
 
 def test_window_length_changes_at_the_next_window(peer: Peer, processes: Processes) -> None:
@@ -241,7 +246,7 @@ def test_uncalibrated_camera_info_is_named_and_a_good_one_accepted(
     node = processes.start_fake("Recorder")
     peer.connect()
     info = peer.camera_info.msg_type(width=64, height=48)  # K is zero
-    peer.camera_info.publish(info)
+    peer.publish_camera_info(info)
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: "focal lengths" in peer.status()["message"], "the diagnosis")
     peer.publish_camera()
@@ -256,6 +261,25 @@ def test_events_on_two_topics_are_listed(peer: Peer, processes: Processes) -> No
         assert "/cam/events, /other/events; choose with --ros-args -r events:=/cam/events" in (
             processes.output(node)
         )
+
+
+def test_second_event_topic_opens_the_choice_until_events_flow(
+    peer: Peer, processes: Processes
+) -> None:
+    node = processes.start_fake("Recorder")
+    peer.connect()
+    with Peer("/other/events"):
+        peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
+        assert peer.events.get_subscription_count() == 0
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a twist")
+    with Peer("/other/events"):
+        question = "event topics besides it: /other/events; choose with"
+        peer.spin_until(lambda: question in processes.output(node), "the warning")
+        run_windows(peer, 1015, 1021)
+        peer.spin_until(lambda: len(peer.twists) == 2, "it goes on")
 
 
 def test_remapped_topic_is_taken(peer: Peer, processes: Processes) -> None:
@@ -285,7 +309,7 @@ def test_bad_parameters_are_refused_in_one_line(
     processes: Processes, arguments: list[str], line: str
 ) -> None:
     node = processes.start_fake("Recorder", *arguments)
-    assert node.wait(20.0) == 2
+    assert node.wait(WAIT_S) == 2
     errors = re.findall(r"^error: .*", processes.output(node), re.MULTILINE)
     assert len(errors) == 1
     assert errors[0].startswith(line)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import MS, Peer, Processes, wait_for
+from harness import MS, WAIT_S, Peer, Processes, wait_for
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
@@ -120,7 +120,7 @@ def test_bad_bag_is_one_line(
 ) -> None:
     path = make(tmp_path, bags / "ros1.bag")
     replay = processes.start(*REPLAY, str(path))
-    assert replay.wait(20.0) == 2
+    assert replay.wait(WAIT_S) == 2
     lines = processes.output(replay).strip().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith(f"error: {path}: ")
@@ -137,7 +137,7 @@ def test_bad_argument_is_one_line(
     processes: Processes, bags: Path, arguments: tuple[str, ...], line: str
 ) -> None:
     replay = processes.start(*REPLAY, str(bags / "ros1.bag"), *arguments)
-    assert replay.wait(20.0) == 2
+    assert replay.wait(WAIT_S) == 2
     assert line in processes.output(replay).strip()
     assert len(processes.output(replay).strip().splitlines()) == 1
 
@@ -150,7 +150,7 @@ def test_types_that_are_not_installed_are_left_out(processes: Processes, tmp_pat
             connection = writer.add_connection(topic, kind, typestore=store)
             writer.write(connection, START, bytes(4))
     replay = processes.start(*REPLAY, str(tmp_path / "odd.bag"))
-    assert replay.wait(20.0) == 0
+    assert replay.wait(WAIT_S) == 0
     output = processes.output(replay)
     assert (
         "left out: /odd: odd_msgs/msg/Odd: the message package odd_msgs is not installed" in output

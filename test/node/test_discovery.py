@@ -4,32 +4,28 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
+from graph import CLOUD, DVS, Graph
+
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import EventTopic, find_event_topic, import_message_type
+from emoflow_ros.node.discovery import (
+    SETTLING_S,
+    EventTopic,
+    TopicSearch,
+    import_message_type,
+)
 
-DVS = "dvs_msgs/msg/EventArray"
-CLOUD = "sensor_msgs/msg/PointCloud2"
 
-
-class Graph:
-    """A node's view of the graph: topics with their type, and a remapping of `events`."""
-
-    def __init__(self, topics: dict[str, str], events: str = "/events") -> None:
-        self._topics = topics
-        self._events = events
-
-    def resolve_topic_name(self, name: str, *, only_expand: bool = False) -> str:
-        return f"/{name}" if only_expand else self._events
-
-    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
-        return [(name, [ros_type]) for name, ros_type in self._topics.items()]
-
-    def count_publishers(self, name: str) -> int:
-        return int(name in self._topics)
+def search(graph: Graph, wanted_type: str = "") -> TopicSearch:
+    return TopicSearch(graph, wanted_type, graph.clock)  # type: ignore[arg-type]
 
 
 def find(topics: dict[str, str], wanted_type: str = "", **kwargs: Any) -> EventTopic | None:
-    return find_event_topic(Graph(topics, **kwargs), wanted_type)  # type: ignore[arg-type]
+    """Look twice, a settling time apart."""
+    graph = Graph(topics, **kwargs)
+    looking = search(graph, wanted_type)
+    looking.look()
+    graph.now += SETTLING_S
+    return looking.look()
 
 
 def test_nothing_is_found_in_an_empty_graph() -> None:
@@ -37,8 +33,9 @@ def test_nothing_is_found_in_an_empty_graph() -> None:
     assert find({"/imu": "sensor_msgs/msg/Imu"}) is None
 
 
-def test_events_count_before_other_event_topics() -> None:
-    assert find({"/cam/events": DVS, "/events": DVS}) == EventTopic("/events", DVS)
+def test_events_count_before_other_event_topics_and_at_once() -> None:
+    graph = Graph({"/cam/events": DVS, "/events": DVS})
+    assert search(graph).look() == EventTopic("/events", DVS)
 
 
 def test_only_event_topic_is_taken() -> None:
@@ -47,23 +44,72 @@ def test_only_event_topic_is_taken() -> None:
     assert found.camera_info == "/cam/camera_info"
 
 
+def test_only_event_topic_is_taken_when_the_graph_has_settled() -> None:
+    graph = Graph({"/cam/events": DVS})
+    looking = search(graph)
+    assert looking.look() is None
+    graph.now = 0.99 * SETTLING_S
+    assert looking.look() is None
+    graph.now = SETTLING_S
+    assert looking.look() == EventTopic("/cam/events", DVS)
+
+
+def test_every_change_of_the_candidates_starts_the_settling_anew() -> None:
+    graph = Graph({})
+    looking = search(graph)
+    graph.now = 5.0
+    graph.topics["/cam/events"] = DVS
+    assert looking.look() is None
+    graph.now = 5.9
+    graph.topics["/other/events"] = DVS
+    with pytest.raises(InputError, match="2 event topics"):
+        looking.look()
+    graph.now = 6.5
+    del graph.topics["/cam/events"]
+    assert looking.look() is None
+    graph.now = 7.4
+    assert looking.look() is None
+    graph.now = 7.5
+    assert looking.look() == EventTopic("/other/events", DVS)
+
+
+def test_topics_of_other_types_do_not_disturb_the_settling() -> None:
+    graph = Graph({"/cam/events": DVS})
+    looking = search(graph)
+    looking.look()
+    graph.now = SETTLING_S
+    graph.topics |= {"/imu": "sensor_msgs/msg/Imu", "/lidar": CLOUD}
+    assert looking.look() == EventTopic("/cam/events", DVS)
+
+
 def test_point_cloud_is_taken_only_when_asked_for() -> None:
     assert find({"/lidar": CLOUD}) is None
     assert find({"/lidar": CLOUD}, events="/lidar") == EventTopic("/lidar", CLOUD)
 
 
-def test_remapped_topic_is_waited_for() -> None:
-    assert find({"/cam/events": DVS}, events="/other/events") is None
+def test_remapped_topic_is_waited_for_and_taken_at_once() -> None:
+    graph = Graph({"/cam/events": DVS}, events="/other/events")
+    looking = search(graph)
+    assert looking.look() is None
+    graph.now = 10 * SETTLING_S
+    assert looking.look() is None
+    graph.topics["/other/events"] = DVS
+    assert looking.look() == EventTopic("/other/events", DVS)
 
 
 def test_given_type_needs_no_publisher() -> None:
-    assert find({}, wanted_type=DVS) == EventTopic("/events", DVS)
+    assert search(Graph({}), wanted_type=DVS).look() == EventTopic("/events", DVS)
+
+
+def test_others_are_the_event_topics_besides_the_one_taken() -> None:
+    graph = Graph({"/c": DVS, "/b": DVS, "/a": DVS, "/lidar": CLOUD})
+    assert search(graph).others(EventTopic("/b", DVS)) == ["/a", "/c"]
 
 
 @pytest.mark.parametrize(
     ("topics", "kwargs", "match"),
     [
-        ({"/a": DVS, "/b": DVS}, {}, "2 event topics: /a, /b; choose with"),
+        ({"/a": DVS, "/b": DVS}, {}, "2 event topics: /a, /b; choose with .* events:=/a"),
         ({"/imu": "sensor_msgs/msg/Imu"}, {"events": "/imu"}, "hold no events"),
         ({}, {"wanted_type": "odd_msgs/msg/Odd"}, "hold no events"),
     ],

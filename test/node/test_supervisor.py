@@ -18,7 +18,7 @@ from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Loss, Outcome, Result, Task, Wishes
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
-WAIT_S = 30.0
+WAIT_S = 60.0
 
 
 class Bench:

@@ -1,0 +1,64 @@
+"""A node's view of the graph in tests of what it listens to, and the time that passes there."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+DVS = "dvs_msgs/msg/EventArray"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+class Graph:
+    """Stands for a node: topics with their type, and a remapping of `events`.
+
+    Attributes:
+        topics: published ones, with their type.
+        now: what `clock` tells, s.
+        callbacks: of the subscriptions, by topic.
+        log: lines, as (level, text).
+    """
+
+    def __init__(self, topics: dict[str, str], events: str = "/events") -> None:
+        self.topics = topics
+        self.now = 0.0
+        self.callbacks: dict[str, Callable[..., None]] = {}
+        self.log: list[tuple[str, str]] = []
+        self.tick: Callable[[], None] | None = None
+        self._events = events
+
+    def clock(self) -> float:
+        return self.now
+
+    def resolve_topic_name(self, name: str, *, only_expand: bool = False) -> str:
+        return self._events if name == "events" and not only_expand else f"/{name}"
+
+    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+        return [(name, [ros_type]) for name, ros_type in self.topics.items()]
+
+    def count_publishers(self, name: str) -> int:
+        return int(name in self.topics)
+
+    def get_publishers_info_by_topic(self, name: str) -> list[Any]:
+        return []
+
+    def create_timer(self, period: float, callback: Callable[[], None], **kwargs: Any) -> Any:
+        self.tick = callback
+        return self
+
+    def destroy_timer(self, timer: Any) -> None:
+        self.tick = None
+
+    def create_subscription(
+        self, kind: Any, topic: str, callback: Callable[..., None], qos: Any, **kwargs: Any
+    ) -> str:
+        self.callbacks[topic] = callback
+        return topic
+
+    def destroy_subscription(self, subscription: str) -> None:
+        del self.callbacks[subscription]
+
+    def get_logger(self) -> Any:
+        def level(name: str) -> Callable[..., None]:
+            return lambda line, **kwargs: self.log.append((name, line))
+
+        return SimpleNamespace(**{name: level(name) for name in ("info", "warning", "error")})

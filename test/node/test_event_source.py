@@ -1,0 +1,132 @@
+"""What the node listens to while the graph around it changes; the graph and the time are fakes."""
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_messages.sh")
+
+from graph import DVS, Graph
+
+from emoflow_ros.node.discovery import SETTLING_S, EventTopic, TopicSearch
+from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.statistics import Level, Statistics
+
+ONE, TWO, ASKED = "/one/events", "/two/events", "/events"
+
+
+class Bench:
+    """A source in a graph, with what it told."""
+
+    def __init__(self, *topics: str, events: str = ASKED) -> None:
+        self.graph = Graph(dict.fromkeys(topics, DVS), events)
+        self.statistics = Statistics()
+        self.taken: list[str] = []
+        self.received: list[bytes] = []
+        self.ready = True
+        self.source = EventSource(
+            self.graph,  # type: ignore[arg-type]
+            search=TopicSearch(self.graph, "", self.graph.clock),  # type: ignore[arg-type]
+            is_ready=lambda: self.ready,
+            callbacks=Callbacks(self._take, self.received.append, lambda info: None),
+            statistics=self.statistics,
+        )
+
+    def _take(self, topic: EventTopic) -> None:
+        self.taken.append(topic.name)
+
+    @property
+    def problem(self) -> tuple[Level, str] | None:
+        return self.statistics.problems.get("input")
+
+    @property
+    def listens(self) -> set[str]:
+        return set(self.graph.callbacks)
+
+    def look(self, seconds: float = SETTLING_S) -> None:
+        """Look now, and again after some seconds."""
+        for pause in (0.0, seconds):
+            self.graph.now += pause
+            if self.graph.tick is not None:
+                self.graph.tick()
+
+
+def test_nothing_is_taken_before_the_worker_is_ready() -> None:
+    bench = Bench(ASKED)
+    bench.ready = False
+    bench.look()
+    assert bench.listens == set()
+    assert bench.problem == (Level.WARN, "the worker is starting")
+    bench.ready = True
+    bench.look()
+    assert bench.listens == {ASKED, "/camera_info"}
+    assert bench.problem is None
+
+
+def test_topic_that_was_asked_for_is_kept_whatever_appears() -> None:
+    bench = Bench(ASKED)
+    bench.look(0.0)
+    bench.graph.topics[ONE] = DVS
+    bench.look()
+    assert bench.taken == [ASKED]
+    assert bench.listens == {ASKED, "/camera_info"}
+
+
+def test_second_topic_before_the_first_event_opens_the_choice_again() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    assert bench.listens == {ONE, "/one/camera_info"}
+    bench.graph.topics[TWO] = DVS
+    bench.look()
+    assert bench.listens == set()
+    assert bench.problem is not None
+    assert bench.problem[0] is Level.ERROR
+    assert bench.problem[1].startswith(f"events: 2 event topics: {ONE}, {TWO}; choose with")
+    del bench.graph.topics[ONE]
+    bench.look()
+    assert bench.listens == {TWO, "/two/camera_info"}
+    assert bench.taken == [ONE, TWO]
+    assert bench.problem is None
+
+
+def test_events_under_their_own_name_replace_a_topic_without_events_yet() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.graph.topics[ASKED] = DVS
+    bench.look(0.0)
+    assert bench.listens == {ASKED, "/camera_info"}
+
+
+def test_topic_whose_publisher_went_is_kept_until_there_is_another() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.graph.topics.clear()
+    bench.look()
+    assert bench.listens == {ONE, "/one/camera_info"}
+    bench.graph.topics[TWO] = DVS
+    bench.look()
+    assert bench.listens == {TWO, "/two/camera_info"}
+
+
+def test_second_topic_after_the_first_event_is_named_once() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.graph.callbacks[ONE](b"events")
+    bench.graph.topics[TWO] = DVS
+    bench.look()
+    bench.look()
+    assert bench.received == [b"events"]
+    assert bench.listens == {ONE, "/one/camera_info"}
+    warnings = [line for level, line in bench.graph.log if level == "warning"]
+    assert warnings == [
+        f"listening to {ONE}; event topics besides it: {TWO}; "
+        f"choose with --ros-args -r events:={TWO}"
+    ]
+    assert bench.problem is None
+
+
+def test_stop_leaves_no_subscription_and_looks_no_longer() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.source.stop()
+    assert bench.listens == set()
+    assert bench.graph.tick is None
