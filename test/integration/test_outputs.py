@@ -1,18 +1,24 @@
 """The node's further topics over DDS: the status of every window, pictures, sampled twists."""
 
+import importlib.util
+import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from harness import MS, Peer, Processes
+from geometry_msgs.msg import TwistStamped
+from harness import CAMERA, MS, WAIT_S, Peer, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import Image
+from visualization_msgs.msg import Marker
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.flow_color import flow_to_rgb
 
 pytestmark = pytest.mark.dds
@@ -111,6 +117,91 @@ def test_pictures_are_drawn_for_their_subscribers(peer: Peer, start: Callable[..
     assert np.count_nonzero(grey) == 1
 
 
+def test_tracks_are_drawn_for_their_subscriber(peer: Peer, start: Callable[..., Any]) -> None:
+    markers: list[Marker] = listen(peer, Marker, "/flow/tracks")
+    start("Recorder", "-p", "output.tracks:=12", "-p", "camera.frame_id:=my_frame")
+    clock = iter(range(1000, 100_000, 5))
+
+    def publish_until_three() -> bool:
+        peer.publish_events(next(clock) * MS, x=9)
+        return len(markers) >= 3
+
+    peer.spin_until(publish_until_three, "tracks of three windows")
+    first, second = markers[0], markers[1]
+    assert first.header.frame_id == "my_frame"
+    assert first.type == Marker.LINE_LIST
+    points = np.array([[p.x, p.y, p.z] for p in first.points]).reshape(4, 12, 2, 3)
+    # The first pixel is (7.5, 7.5); (1, -2) px/s for a quarter of 10 ms.
+    np.testing.assert_allclose(points[0, 0, 0], [(7.5 - 32) / 50, (7.5 - 24) / 50, 1], rtol=1e-6)
+    moved = np.tile(np.array([1, -2, 0]) * 0.0025 / 50, (4, 12, 1))
+    np.testing.assert_allclose(points[:, :, 1] - points[:, :, 0], moved, atol=1e-7)
+    # They go on in the next window.
+    later = np.array([[p.x, p.y, p.z] for p in second.points]).reshape(4, 12, 2, 3)
+    np.testing.assert_allclose(later[0, :, 0], points[3, :, 1], atol=1e-7)
+    assert second.id != first.id
+
+
+def test_twist_in_a_target_frame(peer: Peer, start: Callable[..., Any]) -> None:
+    """The optical frame in a body with x forward, y left and z up."""
+    angles = ("-p", f"output.target_roll:={-np.pi / 2}", "-p", f"output.target_yaw:={-np.pi / 2}")
+    start(
+        "Recorder", "-p", "output.target_frame:=base", "-p", "output.target_source:=parameter",
+        *angles,
+    )  # fmt: skip
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: peer.twists and peer.covariances, "a window")
+    assert peer.twists[0].header.frame_id == peer.covariances[0].header.frame_id == "base"
+    linear = peer.twists[0].twist.linear
+    np.testing.assert_allclose([linear.x, linear.y, linear.z], [0.8, 0.0, -0.6], atol=1e-12)
+    angular = peer.covariances[0].twist.twist.angular  # (10, 1, 64) in the optical frame
+    np.testing.assert_allclose([angular.x, angular.y, angular.z], [64, -10, -1], atol=1e-12)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("tf2_ros") is not None, reason="tf2_ros is there")
+def test_tf_that_is_not_installed_is_refused_in_one_line(processes: Processes) -> None:
+    node = processes.start_fake("Recorder", "-p", "output.target_frame:=base")
+    assert node.wait(WAIT_S) == 2
+    [line] = re.findall(r"^error: .*", processes.output(node), re.MULTILINE)
+    assert line.startswith("error: output.target_source: tf needs the package tf2_ros")
+
+
+def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Callable[..., Any]) -> None:
+    statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
+    publisher = peer.node.create_publisher(Odometry, "/odom", 10)
+    start("Recorder", "-p", "scale.source:=topic", "-p", "scale.max_age_s:=10.0")
+    peer.spin_until(publisher.get_subscription_count, "the node listens to the odometry")
+    odometry = Odometry()
+    odometry.header.stamp.sec = 1
+    odometry.twist.twist.linear.x, odometry.twist.twist.linear.y = 3.0, -4.0
+    publisher.publish(odometry)
+    clock = iter(range(1000, 9000, 5))
+
+    def publish_until_scaled() -> bool:
+        peer.publish_events(next(clock) * MS)
+        return bool(statuses) and values(statuses[-1])["scale"] == "topic"
+
+    peer.spin_until(publish_until_scaled, "a window with a scale")
+    assert statuses[-1].message == "ok"
+    last = values(statuses[-1])["stamp"]
+
+    def same_window() -> list[TwistStamped]:
+        return [t for t in peer.twists if f"{stamp(t) / 1e9:.9f}" == last]
+
+    peer.spin_until(same_window, "its twist")
+    linear = same_window()[0].twist.linear
+    np.testing.assert_allclose([linear.x, linear.y, linear.z], [0.0, 3.0, 4.0])
+    run_windows(peer, 20_000, 20_011)
+    late = "20.005000000"
+    peer.spin_until(lambda: values(statuses[-1])["stamp"] == late, "a window 19 s later")
+    assert statuses[-1].level == b"\x01"
+    assert statuses[-1].message == (
+        "ok; no speed on odom within 10 s of the window; linear is a unit direction"
+    )
+    peer.spin_until(lambda: stamp(peer.twists[-1]) == 20_005 * MS, "its twist")
+    assert peer.twists[-1].twist.linear.z == 0.8
+    peer.spin_until(lambda: "no speed on odom" in peer.status()["message"], "the warning")
+
+
 def test_sampled_twists_are_uniform_over_windows(peer: Peer, start: Callable[..., Any]) -> None:
     start("Recorder", "-p", "output.twist_rate:=500.0")
     run_windows(peer, 1000, 1031)
@@ -141,17 +232,41 @@ def test_speed_gives_the_linear_velocity_and_may_change(
     assert peer.twists[1].twist.linear.z == 0.8
 
 
-def test_earlier_times_after_a_restart_count_anew(peer: Peer, start: Callable[..., Any]) -> None:
-    start("Recorder", "-p", "output.twist_rate:=500.0")
-    run_windows(peer, 3000, 3011)
-    peer.spin_until(lambda: len(peer.twists) == 5, "a window")
+def activate_again(peer: Peer) -> None:
+    """Deactivate the node, and activate it."""
     wish = Transition(id=Transition.TRANSITION_DEACTIVATE)
     assert peer.call(ChangeState, "/estimator/change_state", transition=wish).success
     peer.spin_until(lambda: peer.events.get_subscription_count() == 0, "it listens no more")
     wish = Transition(id=Transition.TRANSITION_ACTIVATE)
     assert peer.call(ChangeState, "/estimator/change_state", transition=wish).success
     peer.spin_until(peer.events.get_subscription_count, "it listens again")
+
+
+def test_earlier_times_after_a_restart_count_anew(peer: Peer, start: Callable[..., Any]) -> None:
+    start("Recorder", "-p", "output.twist_rate:=500.0")
+    run_windows(peer, 3000, 3011)
+    peer.spin_until(lambda: len(peer.twists) == 5, "a window")
+    activate_again(peer)
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: len(peer.twists) == 10, "an earlier window")
     assert [stamp(t) for t in peer.twists[5:]] == [(1000 + 2 * k) * MS for k in range(5)]
     assert peer.covariances[-1].twist.twist.angular.y == 1  # the estimator started cold
+
+
+def test_new_calibration_counts_after_a_new_activation(
+    peer: Peer, start: Callable[..., Any]
+) -> None:
+    start("Recorder")
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: peer.twists, "a window")
+    assert peer.twists[0].twist.angular.z == CAMERA.width
+    activate_again(peer)
+    larger = Camera(80, 60, 50.0, 50.0, 40.0, 30.0)
+    peer.publish_camera(larger)
+    clock = iter(range(2000, 100_000, 5))
+
+    def publish_until_larger() -> bool:
+        peer.publish_events(next(clock) * MS, camera=larger)
+        return bool(peer.twists[-1].twist.angular.z == larger.width)
+
+    peer.spin_until(publish_until_larger, "a window with the new calibration")

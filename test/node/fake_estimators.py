@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class SpeedingUp:
 
 
 class Shift:
-    """A flow of (1, -2) px/s, none in the first column."""
+    """A flow of (1, -2) px/s, unknown in the first column of its image."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
@@ -66,9 +67,9 @@ class Shift:
         flow[:, 0] = np.nan
         return flow
 
-    def tracks(self, points: np.ndarray, times: tuple[int, int]) -> np.ndarray:
-        """Events stay where they are."""
-        return np.stack([points, points])
+    def tracks(self, points: np.ndarray, times: Sequence[int]) -> np.ndarray:
+        since = (np.array(times) - times[0]) / 1e9
+        return points + since[:, None, None] * (1.0, -2.0)
 
 
 class Poisoned(Recorder):
