@@ -26,58 +26,86 @@ _ROWS_PER_CHUNK = 256
 _TRACK_ROWS_PER_CHUNK = 16
 
 
-class _Column(NamedTuple):
+class Column(NamedTuple):
+    """A data set with one row per window.
+
+    Attributes:
+        shape: of a row.
+        dtype: as h5py takes it.
+        unit: empty where there is none.
+        description: what a row means.
+        chunk: rows stored together; columns of large rows have few, and are compressed.
+    """
+
     shape: tuple[int, ...]
     dtype: Any
     unit: str
     description: str
+    chunk: int = _ROWS_PER_CHUNK
 
 
-_TEXT = h5py.string_dtype()
+TEXT = h5py.string_dtype()
 _COLUMNS = {
-    "t_start": _Column((), "f8", "s", "start of the window, in the recording's event time"),
-    "t_end": _Column((), "f8", "s", "end of the window (exclusive)"),
-    "t_start_ns": _Column((), "i8", "ns", "t_start without rounding"),
-    "t_end_ns": _Column((), "i8", "ns", "t_end without rounding"),
-    "t": _Column((), "f8", "s", "time that linear and angular hold at"),
-    "linear": _Column(
+    "t_start": Column((), "f8", "s", "start of the window, in the recording's event time"),
+    "t_end": Column((), "f8", "s", "end of the window (exclusive)"),
+    "t_start_ns": Column((), "i8", "ns", "t_start without rounding"),
+    "t_end_ns": Column((), "i8", "ns", "t_end without rounding"),
+    "t": Column((), "f8", "s", "time that linear and angular hold at"),
+    "linear": Column(
         (3,),
         "f8",
         "1",
         "unit direction of the camera's velocity in its optical frame (x right, y down, "
         "z forward); zeros where not observable",
     ),
-    "angular": _Column(
+    "angular": Column(
         (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN unless status is ok"
     ),
-    "covariance": _Column(
+    "covariance": Column(
         (6, 6),
         "f8",
         "1, rad/s",
         "of (linear, angular); [0, 0] is -1 where translation is not observable",
     ),
-    "translation_observable": _Column((), "?", "", "whether linear holds a direction"),
-    "status": _Column((), _TEXT, "", "ok, or why there is no estimate"),
-    "model": _Column((), _TEXT, "", "full, rotation, translation or static"),
-    "events": _Column((), "i8", "1", "events of the window that were used"),
-    "runtime_s": _Column((), "f8", "s", "wall time of the estimate"),
+    "translation_observable": Column((), "?", "", "whether linear holds a direction"),
+    "status": Column((), TEXT, "", "ok, or why there is no estimate"),
+    "model": Column((), TEXT, "", "full, rotation, translation or static"),
+    "events": Column((), "i8", "1", "events of the window that were used"),
+    "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
 }
 
 
-def _track_columns(points: int) -> dict[str, _Column]:
+def _track_columns(points: int) -> dict[str, Column]:
+    rows = _TRACK_ROWS_PER_CHUNK
     return {
-        "tracks": _Column(
+        "tracks": Column(
             (INSTANTS, points, 2),
             "f4",
             "px",
             "positions (x, y) of the tracked points at track_times_ns; NaN from where a point "
             "leaves the image on, and unless status is ok",
+            rows,
         ),
-        "track_times_ns": _Column((INSTANTS,), "i8", "ns", "times of the tracks' positions"),
-        "track_id": _Column(
-            (points,), "i8", "", "number of each point's track; it changes where a new one begins"
+        "track_times_ns": Column((INSTANTS,), "i8", "ns", "times of the tracks' positions", rows),
+        "track_id": Column(
+            (points,),
+            "i8",
+            "",
+            "number of each point's track; it changes where a new one begins",
+            rows,
         ),
     }
+
+
+def _flow_column(camera: Camera) -> Column:
+    return Column(
+        (camera.height, camera.width, 2),
+        "f2",
+        "px",
+        "displacement (u right, v down) over the window of the pixels of t_start; NaN unless "
+        "status is ok",
+        chunk=1,
+    )
 
 
 class EstimatesWriter:
@@ -90,6 +118,7 @@ class EstimatesWriter:
         configuration: option values by dotted name.
         save_flow: whether to store the dense displacement of every window, too.
         tracks: number of point tracks to store for every window.
+        more: further columns by name, whose values `append` is given.
         keep: how many rows of an existing file to keep (written with the same arguments); with 0
             it is replaced.
 
@@ -106,6 +135,7 @@ class EstimatesWriter:
         configuration: Mapping[str, Any],
         save_flow: bool = False,
         tracks: int = 0,
+        more: Mapping[str, Column] | None = None,
         keep: int = 0,
     ) -> None:
         try:
@@ -130,25 +160,19 @@ class EstimatesWriter:
                 "configuration": json.dumps(dict(configuration)),
             }
         )
-        self._shape = camera.height, camera.width
-        for name, column in _COLUMNS.items():
-            self._create(name, column, chunk=(_ROWS_PER_CHUNK, *column.shape))
+        columns = _COLUMNS | (_track_columns(tracks) if tracks else {}) | dict(more or {})
         if save_flow:
-            column = _Column(
-                (*self._shape, 2),
-                "f2",
-                "px",
-                "displacement (u right, v down) over the window of the pixels of t_start; NaN "
-                "unless status is ok",
-            )
-            self._create("flow", column, (1, *column.shape), compression="gzip", shuffle=True)
+            columns["flow"] = _flow_column(camera)
+        for name, column in columns.items():
+            self._create(name, column)
 
-        for name, column in _track_columns(tracks).items() if tracks else ():
-            chunk = (_TRACK_ROWS_PER_CHUNK, *column.shape)
-            self._create(name, column, chunk, compression="gzip", shuffle=True)
-
-    def append(self, estimate: Estimate, tracks: Tracks | None = None) -> None:
-        """Add one window; with its tracks where the file was made for them."""
+    def append(
+        self,
+        estimate: Estimate,
+        tracks: Tracks | None = None,
+        more: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Add one window; with tracks and values of more columns where the file was made so."""
         ok = estimate.status is Status.OK
         values: dict[str, Any] = {
             "t_start": estimate.t_start / NS_PER_S,
@@ -175,7 +199,7 @@ class EstimatesWriter:
             values["tracks"] = tracks.positions
             values["track_times_ns"] = tracks.times
             values["track_id"] = tracks.ids
-        for name, value in values.items():
+        for name, value in (values | dict(more or {})).items():
             dataset = self._file[name]
             dataset.resize(len(dataset) + 1, axis=0)
             dataset[-1] = value
@@ -197,16 +221,16 @@ class EstimatesWriter:
     ) -> None:
         self._file.close()
 
-    def _create(
-        self, name: str, column: _Column, chunk: tuple[int, ...], **storage: object
-    ) -> None:
+    def _create(self, name: str, column: Column) -> None:
+        compressed = column.chunk < _ROWS_PER_CHUNK
         dataset = self._file.create_dataset(
             name,
             (0, *column.shape),
             column.dtype,
             maxshape=(None, *column.shape),
-            chunks=chunk,
-            **storage,
+            chunks=(column.chunk, *column.shape),
+            compression="gzip" if compressed else None,
+            shuffle=compressed,
         )
         dataset.attrs["unit"] = column.unit
         dataset.attrs["description"] = column.description
@@ -259,7 +283,7 @@ def read_estimates(path: Path) -> Estimates:
             camera["distortion"] = tuple(camera["distortion"])
             tracked = _track_columns(0) if "tracks" in file else {}
             columns = {
-                name: file[name].asstr()[:] if column.dtype is _TEXT else file[name][:]
+                name: file[name].asstr()[:] if column.dtype is TEXT else file[name][:]
                 for name, column in (_COLUMNS | tracked).items()
             }
             return Estimates(
