@@ -1,7 +1,7 @@
 """Run an estimator over a recording, window by window, and compare it with the truth."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -17,6 +17,7 @@ from emoflow_ros.offline.checkpoint import Checkpoint, Progress, Slicer
 from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.gallery import Gallery
+from emoflow_ros.offline.published import Published
 from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.results import WindowResult, assess
 from emoflow_ros.offline.submission import Submission
@@ -40,7 +41,7 @@ class Evaluation:
         interrupted: whether Ctrl-C ended it early.
         wall_s: time that the run took, s: reading, estimating and comparing.
         speed: of the camera, m/s, where it is given.
-        published: figures of a paper to stand beside the summary, by their key.
+        published: figures of the paper to stand beside the summary.
     """
 
     source: Path
@@ -53,7 +54,7 @@ class Evaluation:
     interrupted: bool = False
     wall_s: float = 0.0
     speed: float | None = None
-    published: Mapping[str, float] = field(default_factory=dict)
+    published: Published | None = None
 
 
 def evaluate(

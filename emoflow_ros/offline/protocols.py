@@ -1,7 +1,6 @@
 """Which windows are estimated and compared: freely cut ones, or a benchmark's intervals."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from emoflow_ros.offline.intervals import (
     IntervalSlicer,
     with_lead_in,
 )
+from emoflow_ros.offline.published import PUBLISHED, Published
 from emoflow_ros.offline.readers import Recording
 from emoflow_ros.offline.readers.dsec import DsecRecording
 from emoflow_ros.offline.readers.dsec_folder import DsecFolder
@@ -51,7 +51,7 @@ class Plan:
     slicer: Slicer
     truth: Truth
     description: str
-    published: Mapping[str, float] = field(default_factory=dict)
+    published: Published | None = None
     images: tuple[DsecInterval, ...] = ()
 
 
@@ -124,7 +124,7 @@ def _between_frames(
         )
     words = f"{protocol}: from every {source} to number {step} after it, "
     words += f"{len(intervals)} intervals{of_sequence}"
-    published = sequence.published if sequence and step == _PUBLISHED_STEP else {}
+    published = PUBLISHED.get(sequence.name) if sequence and step == _PUBLISHED_STEP else None
     if clips == PAPER:
         count = sequence.clip_events if sequence else MVSEC_CLIP
         return Plan(ClipSlicer(intervals, count), truth, words + _clipped(count), published)
@@ -142,7 +142,7 @@ def _dsec(
     images, source = _dsec_intervals(recording, truth, test_times)
     intervals = [(image.start, image.end) for image in images]
     words = f"{DSEC}: {len(intervals)} intervals of {source}"
-    published = sequence.published if sequence else {}
+    published = PUBLISHED.get(sequence.name) if sequence else None
     if clips == PAPER:
         slicer: Slicer = ClipSlicer(intervals, DSEC_CLIP)
         return Plan(slicer, truth, words + _clipped(DSEC_CLIP), published, images)

@@ -133,7 +133,7 @@ def _facts(run: Evaluation) -> dict[str, Any]:
         f"fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} px",
         "truth": run.truth.description,
         "protocol": run.protocol,
-        "published": dict(run.published),
+        "published": dataclasses.asdict(run.published) if run.published else None,
         "interrupted": run.interrupted,
         "windows_total": len(run.windows),
         "windows_ok": sum(w.ok for w in run.windows),

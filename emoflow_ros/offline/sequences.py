@@ -1,7 +1,6 @@
 """What the benchmarks prescribe per sequence: calibration, frames, segment and crop."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from emoflow_ros.core.camera import Camera
@@ -47,8 +46,6 @@ class Sequence:
         segment_s: limits (from, to) of the evaluated part, in s since the first frame.
         rows: the image rows above this one count; None means all.
         clip_events: events of one window in the published runs.
-        published: figures of the method's paper (arXiv 2510.12753, tables of MVSEC at dt=4,
-            without early stopping, and of DSEC) by their name in report.json.
         topic: the left camera's events in the data set's bags.
     """
 
@@ -59,22 +56,15 @@ class Sequence:
     segment_s: tuple[float, float] | None = None
     rows: int | None = None
     clip_events: int = MVSEC_CLIP
-    published: Mapping[str, float] = field(default_factory=dict)
     topic: str | None = "/davis/left/events"
-
-
-def _published(epe: float, angular: float, linear: float | None = None) -> dict[str, float]:
-    figures = {"epe_px": epe, "paper_angular_rms_deg_s": angular}
-    return figures if linear is None else figures | {"paper_linear_rms_m_s": linear}
 
 
 def _outdoor(name: str, **limits: Any) -> Sequence:
     return Sequence(name, _OUTDOOR, rows=_HOOD, clip_events=_OUTDOOR_CLIP, **limits)
 
 
-def _dsec(name: str, epe: float | None = None) -> Sequence:
-    figures = {} if epe is None else {"epe_px": epe}
-    return Sequence(name, None, clip_events=DSEC_CLIP, published=figures, topic=None)
+def _dsec(name: str) -> Sequence:
+    return Sequence(name, None, clip_events=DSEC_CLIP, topic=None)
 
 
 # The training sequences of DSEC that have flow truth.
@@ -86,23 +76,21 @@ _DSEC_WITH_TRUTH = (
 )
 
 _TABLE = (
-    Sequence("indoor_flying1", _INDOOR, 60, 1340, published=_published(1.56, 3.44, 0.11)),
-    Sequence("indoor_flying2", _INDOOR, 140, 1500, published=_published(2.04, 5.31, 0.12)),
-    Sequence("indoor_flying3", _INDOOR, 100, 1711, published=_published(1.84, 4.12, 0.15)),
-    Sequence("indoor_flying4", _INDOOR, 104, 380, published=_published(2.38, 5.10)),
+    Sequence("indoor_flying1", _INDOOR, 60, 1340),
+    Sequence("indoor_flying2", _INDOOR, 140, 1500),
+    Sequence("indoor_flying3", _INDOOR, 100, 1711),
+    Sequence("indoor_flying4", _INDOOR, 104, 380),
     _outdoor("outdoor_day1", last_frame=5020),
-    _outdoor(
-        "outdoor_day1_segment", segment_s=(222.4, 240.4), published=_published(1.61, 3.38, 0.76)
-    ),
-    _outdoor("outdoor_day2", last_frame=5020, published=_published(3.49, 5.76)),
-    # The sequences of DSEC's flow benchmark; the figures are its server's.
-    _dsec("interlaken_00_b", 7.31),
-    _dsec("interlaken_01_a", 3.55),
-    _dsec("thun_01_a", 3.60),
-    _dsec("thun_01_b", 2.99),
-    _dsec("zurich_city_12_a", 3.28),
-    _dsec("zurich_city_14_c", 4.43),
-    _dsec("zurich_city_15_a", 2.90),
+    _outdoor("outdoor_day1_segment", segment_s=(222.4, 240.4)),
+    _outdoor("outdoor_day2", last_frame=5020),
+    # The sequences of DSEC's flow benchmark.
+    _dsec("interlaken_00_b"),
+    _dsec("interlaken_01_a"),
+    _dsec("thun_01_a"),
+    _dsec("thun_01_b"),
+    _dsec("zurich_city_12_a"),
+    _dsec("zurich_city_14_c"),
+    _dsec("zurich_city_15_a"),
     *map(_dsec, _DSEC_WITH_TRUTH),
 )
 SEQUENCES = {sequence.name: sequence for sequence in _TABLE}

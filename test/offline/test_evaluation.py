@@ -15,6 +15,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import evaluate
 from emoflow_ros.offline.html import format_number
+from emoflow_ros.offline.published import Published
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.report import write_report
 from emoflow_ros.offline.summary import summarise
@@ -170,7 +171,7 @@ def test_interrupt_in_the_middle_of_a_row_leaves_no_part_of_it(folder, tmp_path)
 
 def test_report_holds_the_values(folder, tmp_path):
     done = run(folder, KnownErrors(fail_at=(2,)))
-    done.published = {"epe_px": 1.56}
+    done.published = Published({"epe_px": 1.56}, ("From cold starts.",), {"epe_px": 1.61})
     html_path, json_path = write_report(done, {"window.duration_ms": 100.0}, tmp_path)
 
     report = json.loads(json_path.read_text())

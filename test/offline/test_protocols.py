@@ -9,6 +9,7 @@ from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSl
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.intervals import CroppedSlicer
 from emoflow_ros.offline.protocols import CroppedFlow, frame_intervals, make_plan
+from emoflow_ros.offline.published import PUBLISHED
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.sequences import SEQUENCES, Sequence, find_sequence
 from emoflow_ros.offline.truth import TrueFlow, Truth
@@ -56,14 +57,21 @@ def test_published_frame_ranges(name, first, last, rows, clip):
 
 
 def test_published_figures_stand_beside_dt4_only(mvsec_file):
-    sequence = Sequence("some", INDOOR, published={"epe_px": 1.5})
+    sequence = Sequence("indoor_flying1", INDOOR)
     with open_recording(mvsec_file) as recording:
         plans = [
             make_plan(protocol, recording, Truth(), WindowPolicy(), sequence)
             for protocol in ("windows", "mvsec-dt1", "mvsec-dt4")
         ]
-    assert [dict(plan.published) for plan in plans] == [{}, {}, {"epe_px": 1.5}]
-    assert SEQUENCES["indoor_flying1"].published["paper_angular_rms_deg_s"] == 3.44
+    assert [plan.published for plan in plans] == [None, None, PUBLISHED["indoor_flying1"]]
+    figures = {
+        "epe_px": 1.56,
+        "paper_angular_rms_deg_s": 3.44,
+        "paper_linear_rms_m_s": 0.11,
+        "runtime_p50_ms": 9300,
+    }
+    assert plans[2].published.figures == figures
+    assert PUBLISHED.keys() < SEQUENCES.keys()
 
 
 def test_unknown_sequence_lists_the_known_ones():
