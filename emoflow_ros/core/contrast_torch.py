@@ -82,8 +82,9 @@ class TorchContrast:
     def gain(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of the warped events over that of the events as they came."""
         self._load(events, flow)
-        sharp = self._energy(self._draw(self._warp(), self._events.weights)).item()
-        return sharp / self.score(events, np.stack([events.x, events.y]))
+        sharp = self._energy(self._draw(self._warp(), self._events.weights))
+        x, y, _, weights = self._events.columns
+        return (sharp / self._energy(self._draw(torch.stack([x, y], dim=1), weights))).item()
 
     def linearise(
         self,
@@ -157,7 +158,7 @@ class TorchContrast:
         """Map sensor to image positions (N, 2), and tell which are inside, (N,)."""
         at = position * self.scale + self._shift
         inside = ((at >= 1) & (at < self._inner)).all(dim=1)
-        return torch.where(inside[:, None], at, 1.0), inside
+        return at.masked_fill(~inside[:, None], 1.0), inside
 
     def _draw(self, position: Tensor, weights: Tensor) -> Tensor:
         """Draw the smoothed image of events at positions (N, 2) px."""

@@ -71,7 +71,7 @@ class DeviceEvents:
         staged = self._staging[:, :count]
         np.stack([events.x, events.y, events.s, events.weights], out=staged.numpy())
         self.columns[:, :count].copy_(staged, non_blocking=True)
-        self.columns[:, count:] = 0.0
+        self.columns[:, count:].zero_()
         self._fill_slots()
         self._loaded = events
 

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
@@ -100,6 +101,37 @@ def test_events_of_one_cell_and_events_that_leave_the_image(rng, device):
     _, position = Contrast(grid, 1.0).sharpen(events, flow)
     assert (position < -12).any(axis=0).sum() > 100
     assert_alike(contrast, Contrast(grid, 1.0), events, flow)
+
+
+class Recorder(TorchDispatchMode):
+    """Notes which operations torch is asked for, and the bytes of those that copy."""
+
+    def __init__(self):
+        super().__init__()
+        self.names: list[str] = []
+        self.copied: list[int] = []
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        self.names.append(function.overloadpacket.__name__)
+        if self.names[-1] == "copy_":
+            self.copied.append(args[0].numel() * args[0].element_size())
+        return function(*args, **(kwargs or {}))
+
+
+def test_a_step_copies_the_field_and_the_cells_and_asks_the_device_for_nothing_else(rng):
+    """Operations whose result the host must know would end a capture, and wait."""
+    grid = lattice()
+    contrast = TorchContrast(grid, 1.0, device="cpu", capacity=CAPACITY)
+    events = moving_dots(rng)
+    with Recorder() as loading:
+        contrast.gain(events, random_flow(rng, grid.shape))
+    with Recorder() as step:
+        linearised(contrast, events, random_flow(rng, grid.shape))
+    nodes, cells = 5 * 4 * 2, 4 * 3 * 1
+    assert step.copied == [4 * nodes * 4, 4 * (1 + cells * (2 * 8 + 8 * 3 * 8))]
+    waiting = {"_local_scalar_dense", "nonzero", "masked_select", "unique_dim", "bincount"}
+    assert not waiting & set(step.names)
+    assert [name for name in loading.names if name in waiting] == ["_local_scalar_dense"]
 
 
 @pytest.mark.parametrize("scale", SCALES)
