@@ -1,6 +1,7 @@
 """Tiny bags for the tests of this folder, written with rosbags."""
 
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.writer import OutputPaths, write_recording
+
+sys.path.insert(0, str(Path(__file__).parent))  # synthetic.py
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 _DEFINITIONS = {

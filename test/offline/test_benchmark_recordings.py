@@ -1,0 +1,324 @@
+"""Recordings in MVSEC's and DSEC's formats through every protocol, against plain loops."""
+
+import math
+
+import numpy as np
+import pytest
+from synthetic import (
+    Plane,
+    flow_maps,
+    write_dsec,
+    write_flow_npz,
+    write_mvsec_bags,
+    write_mvsec_hdf5,
+    write_odom_npz,
+)
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
+from emoflow_ros.offline.arguments import Source
+from emoflow_ros.offline.evaluation import evaluate
+from emoflow_ros.offline.protocols import make_plan
+from emoflow_ros.offline.sequences import SEQUENCES, Sequence
+from emoflow_ros.offline.summary import summarise, summarise_by_truth
+from emoflow_ros.offline.truth import load_truth
+
+START = 100 * NS_PER_S
+FRAMES = [START + (20 + 50 * k) * NS_PER_MS for k in range(10)]
+STAMPS = [START + (7 + 50 * k) * NS_PER_MS for k in range(11)]
+ROWS, FIRST, LAST, CLIP = 193, 1, 3, 3000
+ANGULAR, LINEAR = np.array([0.05, -0.2, 0.3]), np.array([0.25, 0.1, -0.15])
+
+
+def velocity(t: float, x, y):
+    """What the estimator says: flow in px/s at a pixel, t in s from START."""
+    return 30 + 0.05 * x - 0.02 * y, -40 + 0.1 * y + 25 * t
+
+
+class KnownFlow:
+    """The flow of the middle of an interval, held over it."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+
+    def displacement(self, t0: int, t1: int) -> np.ndarray:
+        camera = self._camera
+        grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), -1)
+        points = grid.reshape(-1, 2).astype(float)
+        return (self.tracks(points, (t0, t1))[1] - points).reshape(grid.shape)
+
+    def tracks(self, points: np.ndarray, times) -> np.ndarray:
+        (t0, t1), (x, y) = times, points.T
+        u, v = velocity((0.5 * (t0 + t1) - START) / NS_PER_S, x, y)
+        return np.stack([points, points + np.stack([u, v], -1) * (t1 - t0) / NS_PER_S])
+
+
+class KnownMotion:
+    def angular(self, t: int) -> np.ndarray:
+        """The true rate and an error that grows with time, by axis."""
+        return ANGULAR + np.array([0.1, -0.05, 0.2]) * (t - START) / NS_PER_S
+
+    def linear(self, t: int) -> np.ndarray:
+        return LINEAR / np.linalg.norm(LINEAR)
+
+
+class Known:
+    """An estimator that always says the same, whatever the events are."""
+
+    def __init__(self, camera: Camera, config=None) -> None:
+        self._camera = camera
+
+    def estimate(self, window) -> Estimate:
+        t = (window.t_start + window.t_end) // 2
+        motion = KnownMotion()
+        return Estimate(
+            window.t_start,
+            window.t_end,
+            t,
+            Status.OK,
+            Quality(events=len(window.events)),
+            MotionModel.FULL,
+            linear=motion.linear(t),
+            angular=motion.angular(t),
+            flow=KnownFlow(self._camera),
+            motion=motion,
+        )
+
+    def reset(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def world():
+    camera = SEQUENCES["outdoor_day1"].camera
+    return Plane(camera, START, START + 600 * NS_PER_MS, ANGULAR, LINEAR)
+
+
+@pytest.fixture(scope="module")
+def mvsec(tmp_path_factory, world):
+    """Both forms of a recording, and the arrays in the files."""
+    folder = tmp_path_factory.mktemp("mvsec")
+    flow = flow_maps(world, STAMPS)
+    return {
+        "bag": write_mvsec_bags(folder, "synthetic", world, FRAMES, STAMPS),
+        "hdf5": write_mvsec_hdf5(folder, "synthetic", world, FRAMES, STAMPS),
+        "npz": write_flow_npz(folder / "synthetic_gt_flow_dist.npz", STAMPS, flow),
+        "flow": flow,
+        "odom_path": folder / "synthetic_odom.npz",
+        "odom": write_odom_npz(folder / "synthetic_odom.npz", world, STAMPS),
+        "events": world.events,
+    }
+
+
+def sequence(camera: Camera) -> Sequence:
+    return Sequence("synthetic", camera, FIRST, LAST, rows=ROWS, clip_events=CLIP)
+
+
+def run_mvsec(mvsec, world, form: str, protocol: str, policy: str, *more):
+    data, truth = mvsec[form]
+    chosen = sequence(world.camera)
+    with Source(data, sequence=chosen).open() as recording:
+        files = [truth, mvsec["npz"], mvsec["odom_path"], *more]
+        known = load_truth(recording, files)
+        plan = make_plan(protocol, recording, known, WindowPolicy(), chosen, clips=policy)
+        return plan, evaluate(recording, Known(world.camera), plan.slicer, plan.truth)
+
+
+def errors_of(ours, true):
+    """EPE and space-time angle of one pixel."""
+    (u, v), (tu, tv) = ours, true
+    dot = (u * tu + v * tv + 1) / math.sqrt((u * u + v * v + 1) * (tu * tu + tv * tv + 1))
+    return math.hypot(u - tu, v - tv), math.degrees(math.acos(min(1.0, dot)))
+
+
+def carried(flow, x, y, t0, t1):
+    """Follow a pixel through the maps; None where it leaves them or nothing is known."""
+    height, width = flow.shape[1:3]
+    at_x, at_y = float(x), float(y)
+    for i in range(len(STAMPS) - 1):
+        overlap = min(STAMPS[i + 1], t1) - max(STAMPS[i], t0)
+        if overlap <= 0:
+            continue
+        column, row = round(at_x), round(at_y)
+        if not (0 <= column < width and 0 <= row < height):
+            return None
+        u, v = flow[i, row, column]
+        if u == 0 and v == 0:
+            return None
+        at_x += u * overlap / (STAMPS[i + 1] - STAMPS[i])
+        at_y += v * overlap / (STAMPS[i + 1] - STAMPS[i])
+    return at_x - x, at_y - y
+
+
+def slow_mvsec(events: Events, flow, step: int):
+    """(interval, EPE, %Out, AE, pixels) per frame, one pixel at a time."""
+    rows = []
+    for i in range(FIRST, LAST + 1):
+        t0, t1 = FRAMES[i], FRAMES[i + step]
+        pixels = set()
+        for x, y, t in zip(events.x.tolist(), events.y.tolist(), events.t.tolist(), strict=True):
+            if t0 <= t < t1 and y < ROWS:
+                pixels.add((x, y))
+        epe, angle = [], []
+        for x, y in pixels:
+            true = carried(flow, x, y, t0, t1)
+            if true is None or true[0] == 0 or true[1] == 0:
+                continue
+            u, v = velocity(((t0 + t1) / 2 - START) / NS_PER_S, x, y)
+            seconds = (t1 - t0) / NS_PER_S
+            e, a = errors_of((u * seconds, v * seconds), true)
+            epe.append(e)
+            angle.append(a)
+        count = len(epe)
+        out = 100 * sum(e > 3 for e in epe) / count
+        rows.append(((t0, t1), sum(epe) / count, out, sum(angle) / count, count))
+    return rows
+
+
+@pytest.mark.parametrize("policy", ["causal", "paper"])
+@pytest.mark.parametrize("form", ["bag", "hdf5"])
+@pytest.mark.parametrize(("protocol", "step"), [("mvsec-dt1", 1), ("mvsec-dt4", 4)])
+def test_mvsec_flow(mvsec, world, form, protocol, step, policy):
+    plan, run = run_mvsec(mvsec, world, form, protocol, policy)
+    expected = slow_mvsec(mvsec["events"], mvsec["flow"], step)
+    assert [(w.t_start, w.t_end) for w in run.windows] == [row[0] for row in expected]
+    for window, (_, epe, out, angle, count) in zip(run.windows, expected, strict=True):
+        assert window.flow.pixels == count > 1000
+        assert window.flow.epe_px == pytest.approx(epe, rel=1e-4)
+        assert window.flow.pe3 == pytest.approx(out, abs=0.2)
+        assert window.flow.ae_deg == pytest.approx(angle, rel=1e-4)
+    figures = {m.key: m.value for m in summarise(run.windows)}
+    assert figures["epe_px"] == pytest.approx(np.mean([row[1] for row in expected]), rel=1e-4)
+    assert f"policy {policy}" in plan.description
+    assert "rows from 193 on are left out" in plan.description
+    assert f"every frame to number {step} after it, 3 intervals of synthetic" in plan.description
+
+
+def test_windows_of_the_two_policies(mvsec, world):
+    """Causal windows hold the interval's events; published ones 3000, less those of the hood."""
+    events = mvsec["events"]
+    _, causal = run_mvsec(mvsec, world, "hdf5", "mvsec-dt1", "causal")
+    _, paper = run_mvsec(mvsec, world, "hdf5", "mvsec-dt1", "paper")
+    for own, clip in zip(causal.windows, paper.windows, strict=True):
+        first, last = np.searchsorted(events.t, [own.t_start, own.t_end])
+        assert own.events == (events.y[first:last] < ROWS).sum()
+        half = (CLIP - (last - first)) // 2
+        taken = events.y[first - half : last + half] if half > 0 else events.y[last - CLIP : last]
+        assert clip.events == (taken < ROWS).sum()
+
+
+@pytest.mark.parametrize("policy", ["causal", "paper"])
+def test_mvsec_velocities(mvsec, world, policy):
+    """At the middle of the interval: from the poses, and as MVSEC smoothed them."""
+    _, run = run_mvsec(mvsec, world, "bag", "mvsec-dt4", policy)
+    odom = mvsec["odom"]
+    squares, smoothed = [], []
+    for i in range(FIRST, LAST + 1):
+        t = (FRAMES[i] + FRAMES[i + 4]) // 2
+        ours = KnownMotion().angular(t)
+        for axis in range(3):
+            squares.append(math.degrees(ours[axis] - ANGULAR[axis]) ** 2)
+            k = max(j for j in range(len(STAMPS)) if STAMPS[j] <= t)
+            share = (t - STAMPS[k]) / (STAMPS[k + 1] - STAMPS[k])
+            true = odom["ang_vel"][k][axis] * (1 - share) + odom["ang_vel"][k + 1][axis] * share
+            smoothed.append(math.degrees(ours[axis] - true) ** 2)
+    figures = {m.key: m.value for m in summarise(run.windows)}
+    rms = math.sqrt(sum(squares) / len(squares))
+    assert figures["angular_rms_deg_s"] == pytest.approx(rms, rel=1e-3)
+    assert figures["direction_error_deg"] == pytest.approx(0, abs=0.1)
+    other = {m.key: m.value for m in summarise_by_truth(run.windows, run.truth)["MVSEC's odometry"]}
+    rms = math.sqrt(sum(smoothed) / len(smoothed))
+    assert other["angular_rms_deg_s"] == pytest.approx(rms, rel=1e-6)
+    assert abs(other["angular_rms_deg_s"] - figures["angular_rms_deg_s"]) > 0.05
+
+
+@pytest.mark.parametrize("form", ["bag", "hdf5"])
+def test_flow_from_depth_and_poses_is_the_planes(mvsec, world, form):
+    """The left camera's depth, moved by the poses, without the flow file."""
+    data, truth = mvsec[form]
+    with Source(data, sequence=sequence(world.camera)).open() as recording:
+        flows = load_truth(recording, [truth]).flows
+    found = flows.displacement(STAMPS[2], STAMPS[3])
+    exact = world.displacement(STAMPS[2], STAMPS[3])
+    known = found.valid & np.isfinite(exact).all(-1)
+    assert known.mean() > 0.95
+    np.testing.assert_allclose(found.displacement[known], exact[known], atol=1e-3)
+
+
+RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)
+DSEC = [
+    (START + a * 1000, START + b * 1000)
+    for a, b in ((30_523, 130_524), (130_524, 230_511), (260_000, 360_020))
+]
+
+
+@pytest.fixture(scope="module")
+def dsec(tmp_path_factory):
+    world = Plane(RECTIFIED, START, START + 400 * NS_PER_MS, ANGULAR, 2 * LINEAR, dots=1500)
+    folder = tmp_path_factory.mktemp("dsec") / "zurich_city_02_a"
+    return write_dsec(folder, world, DSEC, (134, 136, 140))
+
+
+def test_dsec_events_in_the_rectified_view(dsec):
+    expected = []
+    columns = dsec.raw.x.tolist(), dsec.raw.y.tolist(), dsec.raw.t.tolist(), dsec.raw.p.tolist()
+    for x, y, t, p in zip(*columns, strict=True):
+        u, v = dsec.rectify_map[y, x]
+        u, v = round(float(u)), round(float(v))
+        if 0 <= u < 640 and 0 <= v < 480:
+            expected.append((u, v, t, p))
+    with Source(dsec.path).open() as recording:
+        assert recording.camera == RECTIFIED
+        read = Events.concatenate(list(recording.event_chunks()))
+    assert 0 < len(dsec.raw) - len(expected) < 0.2 * len(dsec.raw)
+    np.testing.assert_array_equal(np.column_stack([read.x, read.y, read.t, read.p]), expected)
+
+
+def test_dsec_events_without_rectification(dsec):
+    with Source(dsec.path / "events" / "left" / "events.h5").open() as recording:
+        assert recording.camera is None
+        read = Events.concatenate(list(recording.event_chunks()))
+    np.testing.assert_array_equal(read.x, dsec.raw.x)
+    np.testing.assert_array_equal(read.t, dsec.raw.t)
+
+
+def slow_dsec(dsec):
+    """(EPE, %Out, AE, pixels) per interval, one pixel with truth at a time."""
+    rows = []
+    for (t0, t1), flow, valid in zip(dsec.intervals, dsec.flow, dsec.valid, strict=True):
+        epe, angle = [], []
+        seconds, middle = (t1 - t0) / NS_PER_S, ((t0 + t1) / 2 - START) / NS_PER_S
+        for y in range(480):
+            for x in range(640):
+                if valid[y, x]:
+                    u, v = velocity(middle, x, y)
+                    e, a = errors_of((u * seconds, v * seconds), flow[y, x].tolist())
+                    epe.append(e)
+                    angle.append(a)
+        count = len(epe)
+        out = 100 * sum(e > 3 for e in epe) / count
+        rows.append((sum(epe) / count, out, sum(angle) / count, count))
+    return rows
+
+
+@pytest.mark.parametrize("policy", ["causal", "paper"])
+def test_dsec_flow(dsec, monkeypatch, policy):
+    """All pixels with truth count, wherever events are; lead-in windows count for nothing."""
+    monkeypatch.setattr("emoflow_ros.offline.protocols.DSEC_CLIP", 2000)
+    with Source(dsec.path).open() as recording:
+        plan = make_plan("dsec", recording, load_truth(recording), WindowPolicy(), clips=policy)
+        run = evaluate(recording, Known(RECTIFIED), plan.slicer, plan.truth)
+    compared = [w for w in run.windows if w.flow]
+    assert [(w.t_start, w.t_end) for w in compared] == DSEC
+    for window, (epe, out, angle, count) in zip(compared, slow_dsec(dsec), strict=True):
+        assert window.flow.pixels == count
+        assert window.flow.epe_px == pytest.approx(epe, rel=1e-6)
+        assert window.flow.pe3 == pytest.approx(out, abs=0.01)
+        assert window.flow.ae_deg == pytest.approx(angle, rel=1e-4)
+    assert f"dsec: 3 intervals of the flow truth; policy {policy}" in plan.description
+    if policy == "paper":
+        assert [w.events for w in compared] == [2000] * 3
+    else:
+        assert len(run.windows) > 3  # windows to warm up on before the first interval
