@@ -1,0 +1,130 @@
+"""Monte-Carlo check of the covariance: are errors as large as it says, on average?
+
+The normalised error squared (Bar-Shalom et al., 2001) of w, over 3, and of v across its direction,
+over 2, is 1 on average for a covariance that is right. Every fit starts at the true motion: what a
+wrong start does to it is another matter (test_lattice_estimator.py, docs/method.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.epipolar import motion_matrices
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.lattice_fit import TO_MIDDLE, LatticeFit
+from emoflow_ros.core.preparation import prepare
+from emoflow_ros.core.windows import NS_PER_MS, Window
+
+Array = NDArray[np.float64]
+
+CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7, "plumb_bob", (-0.34, 0.14, 0.0, 0.0))
+CONFIG = LatticeConfig()
+LATTICE = Lattice.with_spacing(CAMERA.width, CAMERA.height, CONFIG.spacing_px)
+EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, CONFIG.dec_inlier_px)
+DURATION_NS = 90 * NS_PER_MS
+DURATION = 0.09
+SPEED = 0.8  # m/s, at a depth of about 3 m
+RATE = np.radians(10.0)
+POINTS, EVENTS_PER_POINT = 1500, 8
+MOTIONS = 60
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A smooth static surface before a camera of random motion.
+
+    Attributes:
+        v, w: (3,) unit direction and rad/s.
+        phases: (3,) of the surface's waves.
+    """
+
+    v: Array
+    w: Array
+    phases: Array
+
+    @classmethod
+    def random(cls, rng: np.random.Generator) -> "Scene":
+        v, w = rng.normal(size=(2, 3))
+        phases = rng.uniform(0, 2 * np.pi, 3)
+        return cls(v / np.linalg.norm(v), RATE * w / np.linalg.norm(w), phases)
+
+    def depth(self, bearings: Array) -> Array:
+        """Depth (N,) m at bearings (N, 2), from 1.3 to 6.7 m."""
+        x, y = bearings.T
+        a, b, c = self.phases
+        waves = 0.45 * np.sin(3 * x + a) * np.sin(4 * y + b) + 0.35 * np.sin(5 * x + 2 * y + c)
+        return 3 * np.exp(waves)
+
+    def events(self, rng: np.random.Generator, noise_px: float) -> Window:
+        """Draw the events of points on the surface, off by normal noise and on whole pixels."""
+        pixels = rng.uniform((-20, -20), (CAMERA.width + 20, CAMERA.height + 20), (POINTS, 2))
+        bearings, _ = CAMERA.undistort(pixels)
+        in_middle = np.column_stack([bearings, np.ones(POINTS)]) * self.depth(bearings)[:, None]
+        velocity = -SPEED * self.v - np.cross(self.w, in_middle)
+        acceleration = -np.cross(self.w, velocity)
+        of = rng.permutation(np.repeat(np.arange(POINTS), EVENTS_PER_POINT))
+        s = np.sort(rng.random(len(of)))
+        t = DURATION * (s[:, None] - 0.5)
+        moved = in_middle[of] + t * velocity[of] + 0.5 * t**2 * acceleration[of]
+        seen = CAMERA.project(moved) + rng.normal(scale=noise_px, size=(len(of), 2))
+        x, y = np.rint(seen).T
+        inside = (x >= 0) & (x < CAMERA.width) & (y >= 0) & (y < CAMERA.height)
+        events = Events(
+            x[inside].astype(np.uint16),
+            y[inside].astype(np.uint16),
+            (s[inside] * DURATION_NS).astype(np.int64),
+            (rng.random(POINTS) < 0.5)[of][inside],
+        )
+        return Window(0, DURATION_NS, events)
+
+    def fit(self, window: Window) -> Belief:
+        """Fit flow and motion from the true ones on; what is known in the window's middle."""
+        fit = LatticeFit(LATTICE, EPIPOLAR, CONFIG)
+        fit.motion = Motion.constant(DURATION * self.w, self.v)
+        a, b = motion_matrices(EPIPOLAR.bearings)
+        flow = SPEED * (a @ self.v) / self.depth(EPIPOLAR.bearings)[:, None] + b @ self.w
+        flow = DURATION * np.linalg.solve(EPIPOLAR.to_bearing, flow[..., None])[..., 0]
+        fit.flow = np.repeat(flow[:, None], LATTICE.times, 1).reshape(LATTICE.shape)
+        fit.flow = fit.flow.astype(np.float32)
+        events = prepare(window, CAMERA, CONFIG)
+        for _ in range(5):
+            fit.linearise(events, 1.0)
+            fit.step_coupled(None)
+        w, v = fit.motion.at(0.5)
+        unit = np.repeat([DURATION, 1.0], 3)
+        middle = np.linalg.inv(TO_MIDDLE @ np.linalg.inv(fit.information) @ TO_MIDDLE.T)
+        return Belief.from_information(0, w / DURATION, v, middle * np.outer(unit, unit))
+
+
+def normalised_errors(scene: Scene, belief: Belief) -> tuple[float, float]:
+    covariance = belief.across()
+    error_w = belief.w - scene.w
+    across = np.linalg.svd(belief.v[None])[2][1:]
+    towards = across @ scene.v
+    angle = np.arccos(np.clip(belief.v @ scene.v, -1, 1))
+    error_v = angle * towards / np.linalg.norm(towards)
+    of_w, of_v = covariance[3:, 3:], across @ covariance[:3, :3] @ across.T
+    return (
+        float(error_w @ np.linalg.solve(of_w, error_w)) / 3,
+        float(error_v @ np.linalg.solve(of_v, error_v)) / 2,
+    )
+
+
+@pytest.mark.parametrize("noise_px", [0.3, 0.6])
+def test_errors_of_random_motions_are_as_large_as_the_covariance_says(noise_px):
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(MOTIONS):
+        scene = Scene.random(rng)
+        belief = scene.fit(scene.events(rng, noise_px))
+        errors.append(normalised_errors(scene, belief))
+    of_w, of_v = np.mean(errors, axis=0)
+    assert 0.5 < of_w < 2
+    assert 0.5 < of_v < 2
