@@ -1,5 +1,6 @@
 """Point tracks: points carried along the estimated flow, from window to window."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +8,11 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
+from emoflow_ros.core.windows import NS_PER_S
 
 # A window's tracks are sampled at its start, its end and 7 times in between.
 INSTANTS = 9
-_SHOWN = 2  # every second instant: lines of a quarter of a window look smooth
+_SHOWN = 4  # of these, every fourth one is drawn: lines of half a window look smooth
 
 Points = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -54,14 +56,19 @@ class Tracker:
     Args:
         count: number of points, spread over the image.
         width, height: of the image in pixels.
+        longest: windows after which a point begins a new track, not all of them at once, so
+            that they stay spread over the image; None for no end.
 
     Attributes:
         first: (count, 2) px, where tracks begin.
     """
 
-    def __init__(self, count: int, width: int, height: int) -> None:
+    def __init__(self, count: int, width: int, height: int, longest: int | None = None) -> None:
         self.first = spread_points(count, width, height)
         self._limit = width - 1, height - 1
+        self._longest = longest
+        self._phase = np.random.default_rng(0).permutation(count)
+        self._windows = 0
         self._ids = np.full(count, -1)
         self._next_id = 0
         self._last: Tracks | None = None
@@ -86,6 +93,9 @@ class Tracker:
         else:
             start = np.full_like(self.first, np.nan)
         new = ~np.isfinite(start).all(axis=-1)
+        if self._longest is not None:
+            new |= (self._phase + self._windows) % self._longest == 0
+        self._windows += 1
         count = int(new.sum())
         self._ids[new] = self._next_id + np.arange(count)
         self._next_id += count
@@ -107,13 +117,41 @@ def interpolate(times: Times, path: Points, t: int) -> Points:
     return np.asarray(path[k - 1] + share * (path[k] - path[k - 1]))
 
 
-def lines_at_unit_depth(tracks: Tracks, camera: Camera) -> NDArray[np.float32]:
-    """Draw tracks as lines in front of the camera.
+def trails(windows: Sequence[Tracks]) -> tuple[Points, Points]:
+    """Join the tracks of windows, oldest first, that reach the last one's end.
+
+    Where windows overlap, the later one's positions count.
 
     Returns:
-        Start and end of S line segments on the plane z = 1 of the optical frame, (S, 2, 3).
+        Start and end of S line segments (S, 2, 2) px, and their ages (S, 2) in s before the
+        last window's end.
     """
-    bearings, _ = camera.undistort(tracks.positions[::_SHOWN])
-    ends = np.stack([bearings[:-1], bearings[1:]], axis=-2).reshape(-1, 2, 2)
-    ends = ends[np.isfinite(ends).all(axis=(1, 2))]
-    return np.concatenate([ends, np.ones((len(ends), 2, 1))], axis=-1).astype(np.float32)
+    last = windows[-1]
+    segments, ages = [], []
+    for tracks, following in zip(windows, [*windows[1:], None], strict=True):
+        until = last.times[-1] if following is None else following.times[0]
+        instants = int(np.searchsorted(tracks.times, until)) + 1
+        positions = tracks.positions[:instants, tracks.ids == last.ids]
+        age = (last.times[-1] - tracks.times[:instants]) / NS_PER_S
+        steps = np.stack([positions[:-1], positions[1:]], axis=2)
+        segments.append(steps.reshape(-1, 2, 2))
+        ages.append(np.repeat(np.stack([age[:-1], age[1:]], axis=-1), steps.shape[1], axis=0))
+    paths, when = np.concatenate(segments), np.concatenate(ages)
+    known = np.isfinite(paths).all(axis=(1, 2))
+    return paths[known], when[known]
+
+
+def trails_at_unit_depth(windows: Sequence[Tracks], camera: Camera) -> NDArray[np.float32]:
+    """Draw the trails of windows, oldest first, as lines in front of the camera.
+
+    Returns:
+        Start and end of S line segments, (S, 2, 4): their place on the plane z = 1 of the
+        optical frame, and their freshness, from 0 at the first window's start to 1 at the last
+        one's end.
+    """
+    coarse = [Tracks(w.times[::_SHOWN], w.positions[::_SHOWN], w.ids) for w in windows]
+    segments, ages = trails(coarse)
+    bearings, _ = camera.undistort(segments)
+    fresh = 1 - ages * NS_PER_S / (windows[-1].times[-1] - windows[0].times[0])
+    lines = np.concatenate([bearings, np.ones_like(bearings[..., :1]), fresh[..., None]], axis=-1)
+    return lines[np.isfinite(lines).all(axis=(1, 2))].astype(np.float32)

@@ -27,7 +27,7 @@ SPEED_TYPES: dict[str, Callable[[Any], Vector3 | float]] = {
 }
 
 _TRACK_WIDTH = 0.004  # m, at a distance of 1 m: about a pixel
-_TRACK_COLOR = ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0)
+_TRACK_COLOR = (1.0, 0.75, 0.1)
 _TRACK_LIFETIME = Duration(sec=2)
 
 
@@ -69,16 +69,17 @@ def to_image(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
     )
 
 
-def to_tracks(lines: NDArray[np.float32], number: int, header: Header) -> Marker:
-    """Build a marker of line segments (S, 2, 3) in m; one of the same number replaces it."""
-    marker = Marker(header=header, ns="tracks", id=number, type=Marker.LINE_LIST)
-    marker.action = Marker.ADD
+def to_tracks(lines: NDArray[np.float32], header: Header) -> Marker:
+    """Build a marker of line segments (S, 2, 4): x, y, z in m and opacity; it replaces the last."""
+    marker = Marker(header=header, ns="tracks", type=Marker.LINE_LIST, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
     marker.scale.x = _TRACK_WIDTH
-    marker.color = _TRACK_COLOR
     marker.lifetime = _TRACK_LIFETIME
     marker.frame_locked = True
-    marker.points = [Point(x=x, y=y, z=z) for x, y, z in lines.reshape(-1, 3).tolist()]
+    ends = lines.reshape(-1, 4).tolist()
+    red, green, blue = _TRACK_COLOR
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z, _ in ends]
+    marker.colors = [ColorRGBA(r=red, g=green, b=blue, a=opacity) for *_, opacity in ends]
     return marker
 
 

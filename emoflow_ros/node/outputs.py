@@ -1,11 +1,8 @@
 """The node's topics: what of a window is published where."""
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Status
@@ -20,7 +17,6 @@ from emoflow_ros.node.twist_output import TwistOutput
 from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
 
 _DEPTH = 10
-_TRACKS_SHOWN = 6  # windows whose tracks viewers show at a time
 
 
 class Outputs:
@@ -48,7 +44,6 @@ class Outputs:
             )
             for picture in Picture
         }
-        self._tracks_published = 0
 
     def destroy(self) -> None:
         """Take the topics away."""
@@ -107,15 +102,10 @@ class Outputs:
         for name, drawn in result.pictures.items():
             picture = Picture(name)
             if picture is Picture.TRACKS:
-                self._pictures[picture].publish(self._to_tracks(drawn, header))
+                message = converters.to_tracks(drawn, header)
             else:
-                image = converters.to_image(drawn, ENCODINGS[picture], header)
-                self._pictures[picture].publish(image)
-
-    def _to_tracks(self, lines: NDArray[np.float32], header: Header) -> Marker:
-        """Number the windows' tracks in a circle, so that the last few are shown together."""
-        self._tracks_published += 1
-        return converters.to_tracks(lines, self._tracks_published % _TRACKS_SHOWN, header)
+                message = converters.to_image(drawn, ENCODINGS[picture], header)
+            self._pictures[picture].publish(message)
 
     def _publish_status(self, report: Report) -> None:
         name = self._node.get_fully_qualified_name()

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.core.sharpened import warped_counts
-from emoflow_ros.core.tracks import INSTANTS, Points
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.tracks import Points, trails
 from emoflow_ros.offline.figures import style
 from emoflow_ros.offline.gallery import Example
 
@@ -22,7 +21,7 @@ def track_panels(example: Example, camera: Camera) -> Figure:
     """Draw the tracks over the events warped to the window's end, and over its flow."""
     window, flow = example.window, example.estimate.flow
     assert flow is not None, "the gallery holds windows with a flow only"
-    paths, ages = _paths(example)
+    paths, ages = trails(example.tracks)
     figure = Figure(figsize=(10, 5 * camera.height / camera.width + 1.3), layout="constrained")
     left, right = figure.subplots(1, 2)
     sharp = warped_counts(window, flow, window.t_end, camera.width, camera.height)
@@ -46,30 +45,9 @@ def track_panels(example: Example, camera: Camera) -> Figure:
     return figure
 
 
-def _paths(example: Example) -> tuple[Points, Points]:
-    """Segments (S, 2, 2) of the tracks that reach the window's end, and their ages (S,) in s.
-
-    Where windows overlap, the later one's positions count.
-    """
-    last = example.tracks[-1]
-    segments, ages = [], []
-    for i, tracks in enumerate(example.tracks):
-        following = example.tracks[i + 1].times[0] if tracks is not last else tracks.times[-1]
-        instants = int(np.searchsorted(tracks.times, following)) + 1
-        positions = tracks.positions[: min(instants, INSTANTS), tracks.ids == last.ids]
-        steps = np.stack([positions[:-1], positions[1:]], axis=2).reshape(-1, 2, 2)
-        middles = (tracks.times[:-1] + tracks.times[1:])[: len(positions) - 1] / 2
-        age = (last.times[-1] - middles) / NS_PER_S
-        segments.append(steps)
-        ages.append(np.repeat(age, positions.shape[1]))
-    paths, when = np.concatenate(segments), np.concatenate(ages)
-    known = np.isfinite(paths).all(axis=(1, 2))
-    return paths[known], when[known]
-
-
 def _colored(ax: Axes, paths: Points, ages: Points) -> LineCollection:
     lines = LineCollection(list(paths), cmap=_COLORS, linewidths=1.5, capstyle="round")
-    lines.set_array(ages)
+    lines.set_array(ages.mean(axis=1))
     lines.set_clim(0, float(ages.max()) if len(ages) else 1.0)
     ax.add_collection(lines)
     return lines

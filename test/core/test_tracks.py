@@ -10,8 +10,9 @@ from emoflow_ros.core.tracks import (
     Tracker,
     Tracks,
     interpolate,
-    lines_at_unit_depth,
     spread_points,
+    trails,
+    trails_at_unit_depth,
 )
 
 MS = 1_000_000
@@ -147,23 +148,66 @@ def test_path_is_straight_between_two_instants():
     assert np.isnan(interpolate(times, path, 11)).all()
 
 
-def test_lines_lie_on_the_bearings_of_their_pixels():
-    """Four pieces of a path that stands still for a quarter, through a lens with distortion."""
+def test_tracks_end_after_the_longest_time_at_different_windows():
+    tracker, flow = Tracker(40, 120, 90, longest=4), ConstantFlow((10.0, 0.0))
+    begun = np.full(40, -1)
+    ids = np.full(40, -1)
+    for k in range(12):
+        found = follow(tracker, flow, 10 * k, 10 * (k + 1)).ids
+        new = found != ids
+        if k:
+            assert new.sum() == 10
+        if k >= 4:
+            np.testing.assert_array_equal(k - begun[new], 4)
+        begun[new], ids = k, found
+
+
+def test_trails_join_the_windows_up_to_the_last_ones_end():
+    """10 px per window of 80 ms; the tracks of the last column have just begun."""
+    tracker, flow = Tracker(12, 120, 90), ConstantFlow((125.0, 0.0))
+    windows = [follow(tracker, flow, k * 80, (k + 1) * 80) for k in range(3)]
+    segments, ages = trails(windows)
+    assert segments.shape == (9 * 8 * 3 + 3 * 8, 2, 2)
+    assert ages.shape == (len(segments), 2)
+    x = segments[..., 0][np.isclose(segments[..., 1], 14.5).all(axis=1) & (segments[:, 0, 0] < 44)]
+    np.testing.assert_allclose(np.sort(x[:, 0]), 14.5 + 1.25 * np.arange(24))
+    np.testing.assert_allclose(x[:, 1] - x[:, 0], 1.25)
+    np.testing.assert_allclose(ages[:, 0] - ages[:, 1], 0.01)
+    assert ages.max() == pytest.approx(0.24)
+    assert ages.min() == 0.0
+
+
+def test_later_windows_count_where_they_overlap():
+    tracker = Tracker(1, 120, 90)
+    windows = [
+        follow(tracker, ConstantFlow((10.0, 0.0)), 0, 80),
+        follow(tracker, ConstantFlow((0.0, 10.0)), 40, 120),
+    ]
+    segments, ages = trails(windows)
+    np.testing.assert_allclose(ages[0], [0.12, 0.11])
+    assert len(segments) == 4 + 8
+    np.testing.assert_allclose(segments[:4, 1] - segments[:4, 0], [[0.1, 0.0]] * 4, atol=1e-9)
+    np.testing.assert_allclose(segments[4:, 1] - segments[4:, 0], [[0.0, 0.1]] * 8, atol=1e-9)
+
+
+def test_trails_lie_on_the_bearings_of_their_pixels():
+    """A path that stands still for half a window, through a lens with distortion."""
     camera = Camera(120, 90, 100.0, 80.0, 60.0, 45.0, "plumb_bob", (-0.2, 0.0, 0.01, 0.0))
-    x = np.array([10, 10, 10, 20, 30, 40, 50, 60, 70.0])
+    x = np.array([10, 10, 10, 10, 10, 40, 50, 60, 70.0])
     positions = np.stack([x, np.full(9, 30.0)], -1)[:, None]
-    lines = lines_at_unit_depth(Tracks(np.arange(9), positions, np.zeros(1, int)), camera)
-    assert lines.shape == (4, 2, 3)
+    lines = trails_at_unit_depth([Tracks(np.arange(9) * MS, positions, np.zeros(1, int))], camera)
+    assert lines.shape == (2, 2, 4)
     np.testing.assert_array_equal(lines[..., 2], 1.0)
-    seen = camera.project(lines.astype(float))
-    np.testing.assert_allclose(seen[:, 0], [[10, 30], [10, 30], [30, 30], [50, 30]], atol=1e-4)
-    np.testing.assert_allclose(seen[:, 1], [[10, 30], [30, 30], [50, 30], [70, 30]], atol=1e-4)
+    np.testing.assert_allclose(lines[..., 3], [[0.0, 0.5], [0.5, 1.0]], atol=1e-6)
+    seen = camera.project(lines[..., :3].astype(float))
+    np.testing.assert_allclose(seen[0], [[10, 30], [10, 30]], atol=1e-4)
+    np.testing.assert_allclose(seen[1], [[10, 30], [70, 30]], atol=1e-4)
 
 
-def test_lines_end_where_a_point_leaves_the_image():
+def test_trails_end_where_a_point_leaves_the_image():
     camera = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
     positions = np.full((9, 2, 2), 60.0)
     positions[5:, 0] = np.nan
     positions[:, 1] = np.nan
-    lines = lines_at_unit_depth(Tracks(np.arange(9), positions, np.zeros(2, int)), camera)
-    np.testing.assert_allclose(lines, np.tile(np.float32([0, 0.15, 1]), (2, 2, 1)))
+    lines = trails_at_unit_depth([Tracks(np.arange(9), positions, np.zeros(2, int))], camera)
+    np.testing.assert_allclose(lines[..., :3], np.tile(np.float32([0, 0.15, 1]), (1, 2, 1)))

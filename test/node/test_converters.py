@@ -60,14 +60,16 @@ def test_flow_image_survives_serialisation() -> None:
 
 
 def test_track_marker_survives_serialisation() -> None:
-    lines = np.float32([[[0.1, -0.2, 1.0], [0.3, -0.2, 1.0]]])
-    message = converters.to_tracks(lines, 3, HEADER)
+    lines = np.float32([[[0.1, -0.2, 1.0, 0.25], [0.3, -0.2, 1.0, 0.75]]])
+    message = converters.to_tracks(lines, HEADER)
     message = deserialize_message(serialize_message(message), Marker)
-    assert (message.type, message.id, message.header) == (Marker.LINE_LIST, 3, HEADER)
+    assert (message.type, message.id, message.header) == (Marker.LINE_LIST, 0, HEADER)
     points = [(p.x, p.y, p.z) for p in message.points]
-    np.testing.assert_array_equal(np.float32(points), lines[0])
+    np.testing.assert_array_equal(np.float32(points), lines[0, :, :3])
+    assert [c.a for c in message.colors] == [0.25, 0.75]
+    assert len({(c.r, c.g, c.b) for c in message.colors}) == 1
     assert message.lifetime.sec == 2
-    assert converters.to_tracks(np.empty((0, 2, 3), np.float32), 0, HEADER).points == []
+    assert converters.to_tracks(np.empty((0, 2, 4), np.float32), HEADER).points == []
 
 
 def test_speed_of_a_message_without_a_stamp_has_no_time() -> None:
