@@ -35,10 +35,9 @@ from emoflow_ros.offline.protocols import (
 )
 from emoflow_ros.offline.provenance import versions
 from emoflow_ros.offline.readers import require_camera
-from emoflow_ros.offline.report import write_report
+from emoflow_ros.offline.report import Report, write_report
 from emoflow_ros.offline.sequences import find_sequence
 from emoflow_ros.offline.submission import Submission
-from emoflow_ros.offline.summary import summarise
 from emoflow_ros.offline.tracks import Tracker
 from emoflow_ros.offline.truth import load_truth
 
@@ -145,6 +144,13 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         help="carry N points along the flow: drawn in the report, stored in estimates.h5",
     )
     add(
+        "--speed",
+        type=float,
+        metavar="M_S",
+        help="the camera's speed, m/s, where it is known: scale of the trajectory (default: the "
+        "truth's, an oracle)",
+    )
+    add(
         "--ablate",
         choices=ABLATIONS,
         help="then evaluate again with this part of the method changed, on the same windows",
@@ -213,8 +219,8 @@ def _run(options: argparse.Namespace) -> int:
             )
     if not run.windows:  # interrupted before the first one was done
         raise KeyboardInterrupt
-    run.published = plan.published
-    report, _ = write_report(run, config.flat(), folder, ablation)
+    run.published, run.speed = plan.published, options.speed
+    report = write_report(run, config.flat(), folder, ablation)
     _print_summary(run, report)
     if submission and not run.interrupted:
         _finish(submission)
@@ -264,13 +270,14 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
     }
 
 
-def _print_summary(run: Evaluation, report: Path) -> None:
+def _print_summary(run: Evaluation, report: Report) -> None:
     ok = sum(w.ok for w in run.windows)
     print(f"{ok} of {len(run.windows)} windows estimated")
-    for m in summarise(run.windows):
+    for m in report.measures:
         interval = f"  [{m.low:.2f}, {m.high:.2f}]" if m.low == m.low else ""
         print(f"  {m.label:<50} {m.value:9.2f} {m.unit:<6}{interval}")
-    print(report)
+    print(f"in {run.wall_s:.1f} s, reading and comparison included")
+    print(report.html)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.results import WindowResult
+from emoflow_ros.offline.trajectory import Trajectory
 
 ESTIMATE = "#1f5fa8"
 TRUTH = "#222222"
+# Colour and dashes of the first truth and of others.
+_TRUTHS = ((TRUTH, "-"), ("#d9822b", (0, (4, 1.5))), ("#0b8043", (0, (1, 1))))
 _GRID = "#e4e4e4"
 _AXES = "xyz"
 _STYLE: Any = {
@@ -36,43 +39,76 @@ _STYLE: Any = {
     "figure.facecolor": "white",
     "svg.hashsalt": "emoflow_ros",
 }
+_NOTHING = np.full(3, np.nan)
 style = mpl.rc_context(_STYLE)  # decorates every function that draws
 
 Array = NDArray[np.float64]
 
 
 @style
-def twist_over_time(windows: Sequence[WindowResult]) -> Figure | None:
-    """Angular velocity and direction of linear velocity against truth; None for one window."""
+def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()) -> Figure | None:
+    """Angular velocity and direction of linear velocity against truth; None for one window.
+
+    Args:
+        windows: in the order of time.
+        sources: names of the first and the other truths.
+    """
     if len(windows) < 2:
         return None
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="col")
     t = middle_times(windows)
-    true = [w.truth.angular if w.truth else np.full(3, np.nan) for w in windows]
+    truths = [(name, _seen_by(windows, i)) for i, name in enumerate(sources)]
     sigma = np.array([w.sigma for w in windows])
+    rates = [
+        (name, np.degrees([w.truth.angular if w.truth else _NOTHING for w in seen]))
+        for name, seen in truths
+    ]
     _components(
         axes[:, 0],
         t,
         np.degrees([w.angular for w in windows]),
         np.degrees(sigma[:, 3:]),
-        np.degrees(true),
+        rates,
         "ω",
         "deg/s",
     )
-    directions = np.array([w.true_direction for w in windows])
-    _components(
-        axes[:, 1], t, np.array([w.linear for w in windows]), sigma[:, :3], directions, "v", "1"
-    )
+    directions = [(name, np.array([w.true_direction for w in seen])) for name, seen in truths]
+    linear = np.array([w.linear for w in windows])
+    _components(axes[:, 1], t, linear, sigma[:, :3], directions, "v", "1")
     axes[0, 0].set_title("Angular velocity", loc="left", fontweight="bold")
     axes[0, 1].set_title("Direction of linear velocity (unit)", loc="left", fontweight="bold")
     axes[0, 1].set_ylim(-1.15, 1.15)
-    if not any(np.isfinite(w.linear).all() for w in windows):
+    if not np.isfinite(linear).any():
         _say(axes[1, 1], "translation not observable in any window")
     for bottom in axes[2]:
         bottom.set_xlabel("time since the first window, s")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+@style
+def trajectory(path: Trajectory) -> Figure:
+    """Estimated and true path: along the two longest directions of the truth, and over time."""
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    above, over_time = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    ours, true = path.aligned, path.true[:, :3, 3]
+    first, second = sorted(np.argsort(-np.ptp(true, axis=0))[:2])
+    above.plot(true[:, first], true[:, second], color=TRUTH, linewidth=1.4, label="ground truth")
+    above.plot(ours[:, first], ours[:, second], color=ESTIMATE, linewidth=1.4, label="estimate")
+    above.plot(*true[0, [first, second]], "o", color=TRUTH, markersize=5, label="start")
+    above.set_aspect("equal", adjustable="datalim")
+    above.set_xlabel(f"{_AXES[first]} of the truth's world, m")
+    above.set_ylabel(f"{_AXES[second]}, m")
+    above.set_title("Path", loc="left", fontweight="bold")
+    above.legend(loc="best")
+    t = (path.times - path.times[0]) / NS_PER_S
+    over_time.plot(t, path.absolute_errors, color=ESTIMATE, linewidth=1.4)
+    over_time.set_ylim(0, None)
+    over_time.set_xlabel("time since the run's start, s")
+    over_time.set_ylabel("m")
+    over_time.set_title("Distance from the true position", loc="left", fontweight="bold")
     return figure
 
 
@@ -155,29 +191,33 @@ def middle_times(windows: Sequence[WindowResult]) -> Array:
     return np.asarray((middles - windows[0].t_start) / NS_PER_S)
 
 
+def _seen_by(windows: Sequence[WindowResult], source: int) -> list[WindowResult]:
+    """Hold the windows against another truth; source 0 is the first one."""
+    if source == 0:
+        return list(windows)
+    return [window.against(window.other_truths[source - 1]) for window in windows]
+
+
 def _components(
     axes: Sequence[Axes],
     t: Array,
     values: Array,
     sigma: Array,
-    true: Array,
+    truths: Sequence[tuple[str, Array]],
     symbol: str,
     unit: str,
 ) -> None:
     for i, ax in enumerate(axes):
-        if np.isfinite(sigma[:, i]).any():
-            low, high = values[:, i] - 2 * sigma[:, i], values[:, i] + 2 * sigma[:, i]
+        low, high = values[:, i] - 2 * sigma[:, i], values[:, i] + 2 * sigma[:, i]
+        if np.isfinite(low).any():
             ax.fill_between(
-                t,
-                low,
-                high,
-                color=ESTIMATE,
-                alpha=0.18,
-                linewidth=0,
-                label="estimate ± 2 standard deviations",
-            )
-        if np.isfinite(true[:, i]).any():
-            ax.plot(t, true[:, i], color=TRUTH, label="ground truth", **_line(true[:, i], "s", 4.5))
+                t, low, high, color=ESTIMATE, alpha=0.18, linewidth=0,
+                label="± 2 standard deviations",
+            )  # fmt: skip
+        for (name, true), (color, dashes) in zip(truths, _TRUTHS, strict=False):
+            if np.isfinite(true[:, i]).any():
+                look = _line(true[:, i], "s", 4.5) | {"color": color, "linestyle": dashes}
+                ax.plot(t, true[:, i], label=f"truth: {name}", **look)
         ax.plot(t, values[:, i], color=ESTIMATE, label="estimate", **_line(values[:, i]))
         ax.set_ylabel(f"{symbol}$_{_AXES[i]}$, {unit}" if unit != "1" else f"{symbol}$_{_AXES[i]}$")
         ax.axhline(0, color="#999999", linewidth=0.6, zorder=0)

@@ -4,11 +4,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import Window
+from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.results import WindowResult
 from emoflow_ros.offline.tracks import Tracks
 
+WORST = 5
 _CAPACITY = 8
 
 
@@ -22,9 +26,17 @@ class Example:
     result: WindowResult
     tracks: Sequence[Tracks] = ()
 
+    @property
+    def error(self) -> float:
+        """What examples are ranked by: EPE or, where no truth is known, contrast that is lost."""
+        if self.result.flow is not None:
+            return self.result.flow.epe_px
+        gain = self.result.quality.contrast_gain
+        return -gain if math.isfinite(gain) else math.inf
+
 
 class Gallery:
-    """Keep the best and the worst window, and an even sample to take the median from.
+    """Keep the best and the worst windows, and an even sample to take the median from.
 
     Windows are ranked by EPE; where no window has a true flow, by contrast gain. Memory does
     not grow with the length of the recording.
@@ -39,7 +51,7 @@ class Gallery:
         self._step = 1
         self._seen = 0
         self._best: Example | None = None
-        self._worst: Example | None = None
+        self._worst: list[Example] = []
 
     def offer(
         self,
@@ -54,38 +66,46 @@ class Gallery:
         if result.flow is not None and not self._has_truth:
             self._has_truth = True
             self._clear()
-        example = Example("", window, estimate, result, tracks)
-        if self._best is None or _error(example) < _error(self._best):
+        example = Example("", compared_part(window), estimate, result, tracks)
+        is_best = self._best is None or example.error < self._best.error
+        is_bad = len(self._worst) < WORST or example.error > self._worst[-1].error
+        is_sampled = self._seen % self._step == 0
+        self._seen += 1
+        if not (is_best or is_bad or is_sampled):
+            return
+        example = replace(example, window=_detached(example.window))
+        if is_best:
             self._best = example
-        if self._worst is None or _error(example) > _error(self._worst):
-            self._worst = example
-        if self._seen % self._step == 0:
+        if is_bad:
+            self._worst = sorted([*self._worst, example], key=lambda e: -e.error)[:WORST]
+        if is_sampled:
             self._sample.append(example)
         if len(self._sample) > _CAPACITY:
             self._sample = self._sample[::2]
             self._step *= 2
-        self._seen += 1
 
     def examples(self) -> list[Example]:
-        """Best, median and worst window, each shown once."""
-        if self._best is None or self._worst is None:
+        """Best, median and worst windows, each shown once."""
+        if self._best is None:
             return []
-        if self._best is self._worst:
-            return [replace(self._best, title="The window")]
-        ranked = sorted(self._sample, key=_error)
-        named = {
-            "Best window": self._best,
-            "Median window": ranked[len(ranked) // 2],
-            "Worst window": self._worst,
-        }
+        ranked = sorted(self._sample, key=lambda e: e.error)
+        named = [("Best window", self._best), ("Median window", ranked[len(ranked) // 2])]
+        ordinals = ("Worst", "2nd worst", "3rd worst", "4th worst", "5th worst")
+        named += [
+            (f"{ordinal} window", example)
+            for ordinal, example in zip(ordinals, self._worst, strict=False)
+        ]
         shown: dict[int, Example] = {}
-        for title, example in named.items():
+        for title, example in named:
             shown.setdefault(example.result.index, replace(example, title=title))
         return list(shown.values())
 
+    def worst(self) -> list[WindowResult]:
+        """The worst windows, the worst one first."""
+        return [example.result for example in self._worst]
 
-def _error(example: Example) -> float:
-    if example.result.flow is not None:
-        return example.result.flow.epe_px
-    gain = example.result.quality.contrast_gain
-    return -gain if math.isfinite(gain) else math.inf
+
+def _detached(window: Window) -> Window:
+    """Copy the events out of the chunk that they are a part of, which can go then."""
+    every = np.ones(len(window.events), np.bool_)
+    return Window(window.t_start, window.t_end, window.events[every])

@@ -17,7 +17,11 @@ def render(template: str, **values: Any) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_source), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    environment.filters |= {"number": format_number, "degrees": math.degrees}
+    environment.filters |= {
+        "number": format_number,
+        "count": format_count,
+        "degrees": math.degrees,
+    }
     return environment.get_template(template).render(**values)
 
 
@@ -26,6 +30,11 @@ def format_number(value: float | None, digits: int = 2) -> str:
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
     return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def format_count(value: int) -> str:
+    """Format a whole number in groups of three digits."""
+    return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def svg_uri(figure: Figure) -> str:

@@ -17,6 +17,8 @@ from emoflow_ros.offline.metrics import end_point_error
 from emoflow_ros.offline.truth import TrueFlow, Truth
 
 _UNKNOWN = "#dddddd"
+_MOVING = "#1f7fd8"
+_WIDTH, _BAR, _TITLE = 10.0, 0.9, 0.3  # of the figure, its colour bar and a row's titles, inches
 
 
 @style
@@ -30,7 +32,8 @@ def window_panels(example: Example, camera: Camera, truth: Truth) -> Figure:
     longest = _longest(estimated, true)
     rows, columns = (1, 4) if true is None else (2, 3)
     aspect = rows / columns * camera.height / camera.width
-    figure = Figure(figsize=(10, 10 * aspect + 0.45 * rows), layout="constrained")
+    width = _WIDTH if true is None else _WIDTH - _BAR
+    figure = Figure(figsize=(_WIDTH, width * aspect + _TITLE * rows), layout="constrained")
     panels = list(figure.subplots(rows, columns).flat)
     for ax in panels:
         ax.axis("off")
@@ -39,7 +42,7 @@ def window_panels(example: Example, camera: Camera, truth: Truth) -> Figure:
     if true is not None:
         known = np.where(true.valid[..., None], true.displacement, np.nan)
         _show(panels.pop(0), flow_to_rgb(known, longest), "True flow (black: unknown)")
-        _error_map(figure, panels.pop(0), end_point_error(estimated, known))
+        _error_map(figure, panels.pop(0), end_point_error(estimated, known), true.moving)
     before, after, legend = panels
     _events(before, after, example, flow, camera)
     _wheel(legend, longest)
@@ -56,7 +59,12 @@ def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
     return max(float(np.percentile(lengths, 99.9)), 1e-3) if lengths.size else 1.0
 
 
-def _error_map(figure: Figure, ax: Axes, error: NDArray[np.floating]) -> None:
+def _error_map(
+    figure: Figure,
+    ax: Axes,
+    error: NDArray[np.floating],
+    moving: NDArray[np.bool_] | None,
+) -> None:
     known = error[np.isfinite(error)]
     limit = max(3.0, float(np.percentile(known, 95))) if known.size else 3.0
     ax.axis("on")
@@ -68,7 +76,11 @@ def _error_map(figure: Figure, ax: Axes, error: NDArray[np.floating]) -> None:
     bar = figure.colorbar(image, ax=ax, shrink=0.85, pad=0.02, extend="max")
     bar.set_label("end-point error, px")
     bar.outline.set_visible(False)
-    ax.set_title("Error (grey: truth unknown)", loc="left")
+    title = "Error (grey: truth unknown)"
+    if moving is not None and moving.any():
+        ax.contour(moving, [0.5], colors=_MOVING, linewidths=0.9)
+        title = "Error (outlined: moves by itself)"
+    ax.set_title(title, loc="left")
 
 
 def _events(left: Axes, right: Axes, example: Example, flow: FlowSampler, camera: Camera) -> None:

@@ -183,8 +183,7 @@ def _trajectory(windows: Sequence[WindowResult], speed: float | None) -> list[Me
     over = [error for run in runs for error in run.relative_errors(RELATIVE_SPAN_S)]
     steps = [error[1] for run in runs for error in run.relative_errors(0.0)]
     run = longest(runs)
-    # Without a translation in truth or estimate, lengths say nothing.
-    moves = any(np.isfinite(w.linear).all() for w in windows) and run and run.length > 0
+    moves = run is not None and run.has_translation
     absolute = run.absolute_errors.tolist() if run and moves else []
     return [
         _measure("rpe_step_deg", "RPE of rotation, window to window", "deg", steps, _rms),

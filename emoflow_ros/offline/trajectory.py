@@ -51,6 +51,11 @@ class Trajectory:
         return np.asarray(np.linalg.norm(self.aligned - self.true[:, :3, 3], axis=-1))
 
     @property
+    def has_translation(self) -> bool:
+        """Whether estimate and truth both move: without that, lengths say nothing."""
+        return all(np.ptp(poses[:, :3, 3], axis=0).any() for poses in (self.estimated, self.true))
+
+    @property
     def length(self) -> float:
         """Length of the true path, m."""
         steps = np.diff(self.true[:, :3, 3], axis=0)

@@ -14,7 +14,7 @@ from emoflow_ros.core.windows import Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import evaluate
-from emoflow_ros.offline.html import format_number
+from emoflow_ros.offline.html import format_count, format_number
 from emoflow_ros.offline.published import Published
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.report import write_report
@@ -172,9 +172,10 @@ def test_interrupt_in_the_middle_of_a_row_leaves_no_part_of_it(folder, tmp_path)
 def test_report_holds_the_values(folder, tmp_path):
     done = run(folder, KnownErrors(fail_at=(2,)))
     done.published = Published({"epe_px": 1.56}, ("From cold starts.",), {"epe_px": 1.61})
-    html_path, json_path = write_report(done, {"window.duration_ms": 100.0}, tmp_path)
+    written = write_report(done, {"window.duration_ms": 100.0}, tmp_path)
 
-    report = json.loads(json_path.read_text())
+    report = json.loads(written.json.read_text())
+    assert [m.key for m in written.measures] == list(report["summary"])
     assert report["summary"]["epe_px"]["value"] == pytest.approx(5.0, abs=1e-5)
     assert report["summary"]["epe_px"]["unit"] == "px"
     assert report["configuration"] == {"window.duration_ms": 100.0}
@@ -192,7 +193,7 @@ def test_report_holds_the_values(folder, tmp_path):
     assert [row["status"] for row in rows] == ["ok", "diverged", "ok", "ok", "ok"]
     assert float(rows[0]["epe_px"]) == pytest.approx(5.0, abs=1e-5)
 
-    html = html_path.read_text()
+    html = written.html.read_text()
     assert 'Flow EPE</td><td class="value">5.00</td>' in html
     assert "<th>Published</th>" in html
     assert "<td>1.56</td>" in html
@@ -208,6 +209,7 @@ def test_numbers_for_people():
     assert format_number(float("nan")) == "\N{EN DASH}"
     assert format_number(None) == "\N{EN DASH}"
     assert format_number(2.0, 0) == "2"
+    assert format_count(1234567) == "1\N{NARROW NO-BREAK SPACE}234\N{NARROW NO-BREAK SPACE}567"
 
 
 class ConstantFlow:
