@@ -18,10 +18,10 @@ from emoflow_ros.node.discovery import EventTopic, TopicSearch
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.parameters import NodeParameters, Settings
+from emoflow_ros.node.parameters import NodeOptions, NodeParameters, Settings
 from emoflow_ros.node.statistics import Level, Statistics
 from emoflow_ros.node.supervisor import FACTORY, Supervisor
-from emoflow_ros.node.tasks import Loss, Outcome, Result, Task
+from emoflow_ros.node.tasks import Loss, Notice, Outcome, Result, Task
 
 _DIAGNOSTICS_DEPTH = 10
 _THROTTLE_S = 5.0
@@ -98,6 +98,7 @@ class EstimatorNode(LifecycleNode):
         options = self._settings.node
         path = options.camera.calibration_file
         self._camera = load_calibration(Path(path)) if path else None
+        self._supervisor = self._make_supervisor(options)
         self._statistics = Statistics()
         self._outputs = Outputs(self, options, self._statistics)
         self._diagnostics = self.create_publisher(
@@ -105,12 +106,6 @@ class EstimatorNode(LifecycleNode):
         )
         self._diagnostics_timer = self.create_timer(
             options.output.diagnostics_s, self._publish_diagnostics
-        )
-        self._supervisor = Supervisor(
-            capacity=options.input.queue_windows,
-            timeout_s=options.output.timeout_s,
-            on_outcome=self._hand_over,
-            factory=self._factory,
         )
         if self._camera is not None:
             self._supervisor.configure(self._camera, self._settings.config)
@@ -158,6 +153,20 @@ class EstimatorNode(LifecycleNode):
         if self._supervisor is not None:
             self._supervisor.stop()
         super().destroy_node()
+
+    def _make_supervisor(self, options: NodeOptions) -> Supervisor:
+        """Make the supervisor, and wait for the worker if that may refuse its device."""
+        supervisor = Supervisor(
+            capacity=options.input.queue_windows,
+            timeout_s=options.output.timeout_s,
+            may_use_cpu=options.on_missing_device == "cpu",
+            on_outcome=self._hand_over,
+            factory=self._factory,
+        )
+        config = self._settings.config
+        if options.on_missing_device == "refuse" and config.estimator.device != "cpu":
+            supervisor.check(config)
+        return supervisor
 
     def _stop_listening(self) -> None:
         if self._source is not None:
@@ -251,6 +260,9 @@ class EstimatorNode(LifecycleNode):
                     self._publish(result)
                 case Loss() as loss:
                     self._report(loss)
+                case Notice(reason):
+                    self.get_logger().warning(reason)
+                    self._statistics.set_problem("device", Level.WARN, reason)
 
     def _publish(self, result: Result) -> None:
         if self._is_current(result.task):
@@ -259,7 +271,7 @@ class EstimatorNode(LifecycleNode):
 
     def _report(self, loss: Loss) -> None:
         self._statistics.counts["worker_restarts" if loss.worker else "windows_failed"] += 1
-        self.get_logger().error(loss.reason)
+        self.get_logger().error(loss.reason, throttle_duration_sec=_THROTTLE_S)
         if loss.task is not None and self._is_current(loss.task):
             self._outputs.publish_failed(loss.task, loss.reason)
 

@@ -25,7 +25,7 @@ from emoflow_ros.errors import InputError
 
 _INT64_MAX = 2**63 - 1
 _ONLY_AT_START = ("autostart", "profile", "method")
-_CONNECTIONS = ("input.", "camera.", "output.")
+_CONNECTIONS = ("input.", "camera.", "output.", "estimator.device", "on_missing_device")
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -169,6 +169,12 @@ class NodeOptions:
     """Options of the node itself; those of the estimation are in `Config`."""
 
     autostart: bool = option(True, "configure and activate the node without being asked")
+    on_missing_device: str = option(
+        "cpu",
+        "where estimator.device is cuda and CUDA is missing or lost: estimate on the CPU, or "
+        "refuse to configure and, when lost, try again",
+        choices=("cpu", "refuse"),
+    )
     input: InputOptions = field(default_factory=InputOptions)
     camera: CameraOptions = field(default_factory=CameraOptions)
     output: OutputOptions = field(default_factory=OutputOptions)

@@ -12,19 +12,22 @@ from typing import Any
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.twist import Twist, grid_times
+from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.twist import grid_times
 from emoflow_ros.core.windows import Window
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.answer import unpack
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.queue import DropOldestQueue
-from emoflow_ros.node.tasks import Loss, Outcome, Result, Task, Wishes
-from emoflow_ros.node.worker import serve
+from emoflow_ros.node.tasks import Loss, Notice, Outcome, Task, Wishes
+from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 
 _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0
-_START_S = 120.0  # the first start on a machine compiles
+_START_S = 120.0  # the first start on a machine compiles, and CUDA takes its time
+_FIX = "or set on_missing_device to cpu"
 
 
 class WorkerDiedError(Exception):
@@ -36,11 +39,13 @@ class Supervisor:
 
     A worker that dies or takes longer than `timeout_s` is replaced; that costs the window it
     was working on. The replacement is forked from a server process that has the estimator's
-    modules loaded already.
+    modules loaded already. Where CUDA fails a worker and `may_use_cpu` is set, the next ones
+    estimate on the CPU.
 
     Args:
         capacity: windows that may wait; one more drops the oldest.
         timeout_s: time for one window.
+        may_use_cpu: whether to go on without the device that is asked for.
         on_outcome: called in the supervisor's thread with what became of a task or the worker.
         factory: `module:function` that makes the estimator in the worker.
 
@@ -55,6 +60,7 @@ class Supervisor:
         *,
         capacity: int,
         timeout_s: float,
+        may_use_cpu: bool,
         on_outcome: Callable[[Outcome], None],
         factory: str = FACTORY,
     ) -> None:
@@ -62,6 +68,8 @@ class Supervisor:
         self.ready = threading.Event()
         self.wishes = Wishes()
         self._timeout_s = timeout_s
+        self._may_use_cpu = may_use_cpu
+        self._on_cpu = False  # because the device failed
         self._on_outcome = on_outcome
         self._factory = factory
         self._context = multiprocessing.get_context("forkserver")
@@ -82,6 +90,19 @@ class Supervisor:
     def start(self) -> None:
         """Start the thread, which starts the worker; `ready` is set when that is warm."""
         self._thread.start()
+
+    def check(self, config: Config) -> None:
+        """Wait for a worker that can estimate with this configuration; call it before `start`.
+
+        Raises:
+            InputError: there is none, and why.
+        """
+        try:
+            self._start_worker()
+            self._configure(WARM_UP_CAMERA, config)
+        except WorkerDiedError as error:
+            self.stop()
+            raise InputError("estimator.device", str(error), _FIX) from None
 
     def configure(self, camera: Camera, config: Config) -> None:
         """Set what the next windows are estimated with. Windows wait until this was called."""
@@ -113,6 +134,8 @@ class Supervisor:
             try:
                 if self._channel is None:
                     self._start_worker()
+                if not self.ready.is_set():  # a replacement has windows waiting
+                    self._warm_up()
                     self.ready.set()
                 answered = self._serve_next()
             except WorkerDiedError as error:
@@ -155,10 +178,13 @@ class Supervisor:
             },
             {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
         )
+        if header.get("fatal"):
+            self._fail_over(header)
+            raise WorkerDiedError(f"a window failed: {header['error']}")
         if "error" in header:
             self._on_outcome(Loss(f"a window failed: {header['error']}", worker=False, task=task))
         else:
-            result = _unpack(task, header, arrays)
+            result = unpack(task, header, arrays)
             if result.twists:
                 self._last_twist = result.twists[-1].t
             self._on_outcome(result)
@@ -171,12 +197,26 @@ class Supervisor:
         return grid_times(window.t_start, window.t_end, rate, self._last_twist)
 
     def _configure(self, camera: Camera, config: Config) -> None:
+        used = replace_options(config, {"estimator.device": "cpu"}) if self._on_cpu else config
         answer, _ = self._request(
-            {"kind": "configure", "camera": asdict(camera), "config": config.flat()}, {}
+            {"kind": "configure", "camera": asdict(camera), "config": used.flat()},
+            {},
+            timeout_s=_START_S,
         )
-        if "error" in answer:
+        if "error" not in answer:
+            self._configured = (camera, config)
+        elif self._fail_over(answer):
+            self._configure(camera, config)
+        else:
             raise WorkerDiedError(f"the worker cannot be configured: {answer['error']}")
-        self._configured = (camera, config)
+
+    def _fail_over(self, answer: dict[str, Any]) -> bool:
+        """Use the CPU from now on, if the device is to blame and that is allowed."""
+        if not (answer["device"] and self._may_use_cpu) or self._on_cpu:
+            return False
+        self._on_cpu = True
+        self._on_outcome(Notice(f"{answer['error']}; estimating on the CPU until configured anew"))
+        return True
 
     def _start_worker(self) -> None:
         mine, its = self._context.Pipe()
@@ -192,10 +232,11 @@ class Supervisor:
         self._process, self._channel, self._configured = process, Channel(mine), None
         if self._stopping.is_set():
             raise WorkerDiedError("stopped")
-        if not self.ready.is_set():  # a replacement has windows waiting
-            answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)
-            if "error" in answer:
-                raise WorkerDiedError(f"the worker cannot be started: {answer['error']}")
+
+    def _warm_up(self) -> None:
+        answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)
+        if "error" in answer:
+            raise WorkerDiedError(f"the worker cannot be started: {answer['error']}")
 
     def _request(
         self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None
@@ -242,20 +283,3 @@ class Supervisor:
         if process is not None:
             with contextlib.suppress(ValueError, OSError):
                 process.kill()
-
-
-def _unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
-    estimate = Estimate(
-        t_start=header["t_start"],
-        t_end=header["t_end"],
-        t=header["t"],
-        status=Status(header["status"]),
-        model=MotionModel(header["model"]),
-        quality=Quality(**header["quality"]),
-        linear=arrays.pop("linear"),
-        angular=arrays.pop("angular"),
-        covariance=arrays.pop("covariance"),
-    )
-    rows = zip(header["times"], arrays.pop("twists"), strict=True)
-    twists = tuple(Twist(t, row[:3], row[3:]) for t, row in rows)
-    return Result(task, estimate, twists, pictures=arrays)

@@ -90,4 +90,11 @@ class Loss:
     task: Task | None = field(default=None, compare=False)
 
 
-type Outcome = Result | Loss
+@dataclass(frozen=True)
+class Notice:
+    """Something about the worker that lasts until the node is configured anew; one line."""
+
+    reason: str
+
+
+type Outcome = Result | Loss | Notice

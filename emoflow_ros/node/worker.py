@@ -7,24 +7,27 @@ node's end of it closes.
 import importlib
 import signal
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate, Estimator, Status
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.estimate import Estimator, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.options import replace_options
-from emoflow_ros.core.twist import Twist, at_middle, sample
+from emoflow_ros.core.twist import at_middle, sample
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.answer import pack
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.pictures import Painter
 from emoflow_ros.node.tasks import Wishes
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
+
+WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
 _WARM_UP_EVENTS = 20_000
 _WARM_UP_SPEED = 200  # px/s
@@ -69,11 +72,11 @@ class _Worker:
         except Exception as error:
             if self._estimator is not None:
                 self._estimator.reset()
-            return {"error": f"{type(error).__name__}: {error}"}, {}
+            return _describe(error), {}
 
     def _warm_up(self) -> dict[str, Any]:
         """Estimate synthetic events once, so that the first real window meets compiled code."""
-        camera = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
+        camera = WARM_UP_CAMERA
         rng = np.random.default_rng(0)
         end = 90 * NS_PER_MS
         t = np.sort(rng.integers(0, end, _WARM_UP_EVENTS))
@@ -87,7 +90,8 @@ class _Worker:
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:
         camera = Camera(**header["camera"] | {"distortion": tuple(header["camera"]["distortion"])})
         self._painter = Painter(camera)
-        self._estimator = self._make_estimator(camera, replace_options(Config(), header["config"]))
+        config = load_config(header["config"]["profile"], header["config"])
+        self._estimator = self._make_estimator(camera, config)
         return {}
 
     def _estimate(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
@@ -97,38 +101,23 @@ class _Worker:
             self._estimator.reset()
         window = Window(header["t_start"], header["t_end"], Events(**arrays))
         estimate = self._estimator.estimate(window)
-        if estimate.status is Status.OK and not _is_finite(estimate):
-            self._estimator.reset()
-            estimate = replace(estimate, status=Status.DIVERGED)
         if estimate.status is not Status.OK:
-            return _pack(estimate, [])
+            return pack(estimate, [])
         times = header["times"]
         twists = [at_middle(estimate)] if times is None else sample(estimate, times)
-        answer, values = _pack(estimate, twists)
+        answer, values = pack(estimate, twists)
+        if not all(np.isfinite(value).all() for value in values.values()):
+            self._estimator.reset()
+            return pack(replace(estimate, status=Status.DIVERGED), [])
         values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)
         return answer, values
 
 
-def _is_finite(estimate: Estimate) -> bool:
-    values = (estimate.linear, estimate.angular, estimate.covariance)
-    return all(np.isfinite(v).all() for v in values)
-
-
-def _pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Arrays]:
-    """Turn an estimate, without its samplers, and its twists into plain data."""
-    header = {
-        "t_start": estimate.t_start,
-        "t_end": estimate.t_end,
-        "t": estimate.t,
-        "status": estimate.status,
-        "model": estimate.model,
-        "quality": asdict(estimate.quality),
-        "times": [twist.t for twist in twists],
-    }
-    arrays: Arrays = {
-        "linear": np.asarray(estimate.linear, np.float64),
-        "angular": np.asarray(estimate.angular, np.float64),
-        "covariance": np.asarray(estimate.covariance, np.float64),
-        "twists": np.array([(*w.linear, *w.angular) for w in twists], np.float64).reshape(-1, 6),
-    }
-    return header, arrays
+def _describe(error: Exception) -> dict[str, Any]:
+    """Say what went wrong, whether CUDA did, and whether the process can go on after it."""
+    device = "CUDA" in str(error)
+    out_of_memory = isinstance(error, MemoryError) or "DefaultCPUAllocator" in str(error)
+    if isinstance(error, InputError):
+        return {"error": str(error), "device": device, "fatal": False}
+    line = " ".join(f"{type(error).__name__}: {error}".split())
+    return {"error": line, "device": device, "fatal": device or out_of_memory}

@@ -1,9 +1,12 @@
 """Estimators that the worker runs in tests: each shows one good or bad behaviour."""
 
 import os
+import resource
 import signal
 import time
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +14,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.windows import Window
+from emoflow_ros.errors import InputError
 
 _POISON_X = 7  # a window of events in this column alone triggers the bad behaviour
 
@@ -56,6 +60,13 @@ class SpeedingUp:
         return np.array([0.0, 0.6, 0.8])
 
 
+class Breaking(SpeedingUp):
+    """That motion, of which nothing is known in the second half of 100 ns."""
+
+    def linear(self, t: int) -> np.ndarray:
+        return np.full(3, np.nan if t - self.t_start > 50 else 0.5)
+
+
 class Shift:
     """A flow of (1, -2) px/s, unknown in the first column of its image."""
 
@@ -96,11 +107,48 @@ class Raising(Poisoned):
         raise FloatingPointError("no luck")
 
 
+class Greedy(Poisoned):
+    """Wants more memory than there is: the process may not have 256 MiB more."""
+
+    def misbehave(self) -> None:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        limit = pages * resource.getpagesize() + 2**28
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        np.ones(2**29)
+
+
+class NoCuda(Recorder):
+    """A machine without the device."""
+
+    def __init__(self, camera: Camera, config: Config) -> None:
+        if config.estimator.device == "cuda":
+            raise InputError("estimator.device", "no CUDA device was found", "use cpu")
+        super().__init__(camera, config)
+
+
+class LosesCuda(Poisoned):
+    """A device that is there, until it fails as torch says it."""
+
+    def misbehave(self) -> None:
+        if self.config.estimator.device == "cuda":
+            raise RuntimeError("CUDA error: unspecified launch failure\nlook at dmesg")
+
+
 class NotFinite(Recorder):
     def estimate(self, window: Window) -> Estimate:
         estimate = super().estimate(window)
         if (window.events.x == _POISON_X).all():
             estimate.angular[1] = np.nan
+        return estimate
+
+
+class NotFiniteInPart(Recorder):
+    """Finite in the middle of a window of the bad column, but not all along it."""
+
+    def estimate(self, window: Window) -> Estimate:
+        estimate = super().estimate(window)
+        if (window.events.x == _POISON_X).all():
+            return replace(estimate, motion=Breaking(window.t_start))
         return estimate
 
 
@@ -120,3 +168,11 @@ class Busy(Recorder):
             while True:
                 pass
         return super().estimate(window)
+
+
+class ByProfile(Recorder):
+    """Tells its configuration."""
+
+    def estimate(self, window: Window) -> Estimate:
+        said = f"{self.config.profile} {self.config.window.duration_ms}"
+        return replace(super().estimate(window), quality=Quality(events=5, stop_reason=said))

@@ -1,0 +1,56 @@
+"""A supervisor in tests, with what came out of it."""
+
+import queue
+import time
+
+import numpy as np
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import Window
+from emoflow_ros.node.supervisor import Supervisor
+from emoflow_ros.node.tasks import Loss, Notice, Outcome, Result, Task
+
+CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
+WAIT_S = 60.0
+
+
+class Bench:
+    """A supervisor with its outcomes."""
+
+    def __init__(
+        self, estimator: str, *, timeout_s: float = 10.0, may_use_cpu: bool = False
+    ) -> None:
+        self.outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
+        self.supervisor = Supervisor(
+            capacity=8,
+            timeout_s=timeout_s,
+            may_use_cpu=may_use_cpu,
+            on_outcome=self.outcomes.put,
+            factory=f"fake_estimators:{estimator}",
+        )
+
+    def put(self, *, x: int = 0, count: int = 5, t: int = 1000, epoch: int = 0) -> None:
+        events = Events(
+            np.full(count, x, np.uint16),
+            np.zeros(count, np.uint16),
+            np.arange(t, t + count, dtype=np.int64),
+            np.ones(count, bool),
+        )
+        task = Task(Window(t, t + 100, events), epoch, 0, "camera", time.monotonic())
+        self.supervisor.queue.put(task)
+
+    def result(self) -> Result:
+        outcome = self.outcomes.get(timeout=WAIT_S)
+        assert isinstance(outcome, Result), outcome
+        return outcome
+
+    def loss(self) -> Loss:
+        outcome = self.outcomes.get(timeout=WAIT_S)
+        assert isinstance(outcome, Loss), outcome
+        return outcome
+
+    def notice(self) -> Notice:
+        outcome = self.outcomes.get(timeout=WAIT_S)
+        assert isinstance(outcome, Notice), outcome
+        return outcome

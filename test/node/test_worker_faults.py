@@ -1,0 +1,146 @@
+"""Faults inside the worker: what becomes of the window, of the worker and of the next window."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from supervisor_bench import CAMERA, WAIT_S, Bench
+
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.tasks import Wishes
+
+ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
+
+
+def test_out_of_memory_costs_the_window_and_the_worker(bench: Callable[..., Bench]) -> None:
+    b = bench("Greedy")
+    b.supervisor.configure(CAMERA, Config())
+    b.put()
+    b.result()
+    first = b.supervisor.pid
+    b.put(x=7)
+    loss = b.loss()
+    assert loss.worker
+    assert "Unable to allocate 4.00 GiB" in loss.reason
+    assert loss.task is not None
+    b.put()
+    assert b.result().estimate.angular[1] == 1  # cold
+    assert b.supervisor.pid != first
+
+
+def test_twenty_kills_cost_at_most_a_window_each(bench: Callable[..., Bench]) -> None:
+    b = bench("Recorder")
+    b.supervisor.configure(CAMERA, Config())
+    pids = set()
+    for kill in range(20):
+        b.put(t=1000 * (kill + 1))
+        assert b.result().estimate.angular[1] == 1  # each in a fresh worker
+        pid = b.supervisor.pid
+        assert pid is not None
+        pids.add(pid)
+        os.kill(pid, signal.SIGKILL)
+        assert "signal 9" in b.loss().reason
+    assert len(pids) == 20
+    assert b.supervisor.queue.dropped == 0
+
+
+def test_estimate_that_is_not_finite_has_diverged(bench: Callable[..., Bench]) -> None:
+    b = bench("NotFinite")
+    b.supervisor.configure(CAMERA, Config())
+    b.put()
+    assert b.result().estimate.angular[1] == 1
+    b.put(x=7)
+    bad = b.result()
+    assert bad.estimate.status is Status.DIVERGED
+    assert bad.twists == ()
+    assert bad.pictures == {}
+    b.put()
+    good = b.result().estimate
+    assert good.status is Status.OK
+    assert good.angular[1] == 1  # cold: the state with the bad values is gone
+
+
+def test_twists_that_are_not_finite_are_not_published(bench: Callable[..., Bench]) -> None:
+    b = bench("NotFiniteInPart")
+    b.supervisor.configure(CAMERA, Config())
+    b.supervisor.wishes = Wishes(twist_rate=1e9 / 40)
+    b.put(t=1000)
+    assert np.isfinite([w.linear for w in b.result().twists]).all()
+    b.put(t=2000, x=7)
+    bad = b.result()
+    assert bad.estimate.status is Status.DIVERGED
+    assert bad.twists == ()
+
+
+def test_missing_device_falls_back_to_the_cpu_where_allowed(bench: Callable[..., Bench]) -> None:
+    b = bench("NoCuda", may_use_cpu=True)
+    b.supervisor.configure(CAMERA, ON_CUDA)
+    b.put()
+    assert b.notice().reason == (
+        "estimator.device: no CUDA device was found; use cpu; "
+        "estimating on the CPU until configured anew"
+    )
+    assert b.result().estimate.status is Status.OK
+    b.put()
+    assert b.result().estimate.angular[1] == 2  # said once, and the worker is the same
+
+
+def test_missing_device_is_refused_where_asked_for() -> None:
+    b = Bench("NoCuda")
+    with pytest.raises(InputError, match=r"no CUDA device was found.*on_missing_device"):
+        b.supervisor.check(ON_CUDA)
+    assert b.supervisor.pid is not None
+    for process in multiprocessing.active_children():
+        process.join(WAIT_S)
+    assert not multiprocessing.active_children()
+    assert not b.supervisor.ready.is_set()
+
+
+def test_device_that_is_there_passes_the_check(bench: Callable[..., Bench]) -> None:
+    b = Bench("Recorder")
+    try:
+        b.supervisor.check(ON_CUDA)
+        checked = b.supervisor.pid
+        b.supervisor.configure(CAMERA, ON_CUDA)
+        b.supervisor.start()
+        b.put()
+        assert b.result().estimate.angular[2] == CAMERA.width
+        assert b.supervisor.pid == checked
+    finally:
+        b.supervisor.stop()
+
+
+def test_lost_device_costs_the_window_and_the_cpu_goes_on(bench: Callable[..., Bench]) -> None:
+    b = bench("LosesCuda", may_use_cpu=True)
+    b.supervisor.configure(CAMERA, ON_CUDA)
+    b.put(x=7)
+    assert "CUDA error: unspecified launch failure look at dmesg" in b.notice().reason
+    loss = b.loss()
+    assert loss.worker
+    assert loss.task is not None
+    b.put(x=7)
+    assert b.result().estimate.status is Status.OK  # on the CPU
+
+
+def test_lost_device_is_tried_again_where_the_cpu_is_refused(bench: Callable[..., Bench]) -> None:
+    b = bench("LosesCuda")
+    b.supervisor.configure(CAMERA, ON_CUDA)
+    for _ in range(2):
+        b.put(x=7)
+        assert "CUDA error" in b.loss().reason
+    b.put()
+    assert b.result().estimate.status is Status.OK  # on the device again
+
+
+@pytest.mark.parametrize("profile", ["realtime", "rigid", "paper", "paper_dsec"])
+def test_every_profile_reaches_the_worker(bench: Callable[..., Bench], profile: str) -> None:
+    b = bench("ByProfile")
+    b.supervisor.configure(CAMERA, load_config(profile, {"window.duration_ms": 70.0}))
+    b.put()
+    assert b.result().estimate.quality.stop_reason == f"{profile} 70.0"
