@@ -27,6 +27,7 @@ class Row:
         v_error_deg: angle between the directions, sign included.
         seconds: estimate and flow image.
         events, iterations, stop_reason: see Quality.
+        nees_w, nees_v: see normalised_errors.
     """
 
     index: int
@@ -43,6 +44,8 @@ class Row:
     events: int
     iterations: int
     stop_reason: str
+    nees_w: float | None = None
+    nees_v: float | None = None
 
 
 @dataclass(frozen=True)

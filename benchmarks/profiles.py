@@ -26,7 +26,7 @@ import numpy as np
 from tqdm import tqdm
 
 from benchmarks._profile_tables import Cell, Row, paired_table, table
-from benchmarks._scoring import SCENES, SimulatedTruth
+from benchmarks._scoring import SCENES, SimulatedTruth, normalised_errors
 from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
@@ -151,6 +151,7 @@ def _recording(
 def _row(index: int, window: Window, estimate: Estimate, truth: Truth, seconds: float) -> Row:
     result = assess(index, window, estimate, truth)
     flow, static = result.flow, result.static_flow
+    nees_w, nees_v = normalised_errors(estimate, result)
     w_rms = float(np.degrees(np.sqrt(np.mean(result.angular_error**2))))
     return Row(
         index=index,
@@ -167,6 +168,8 @@ def _row(index: int, window: Window, estimate: Estimate, truth: Truth, seconds: 
         events=result.quality.events,
         iterations=result.quality.iterations,
         stop_reason=result.quality.stop_reason,
+        nees_w=_known(nees_w),
+        nees_v=_known(nees_v),
     )
 
 

@@ -1,4 +1,4 @@
-"""What a fit is worth: the sign of v, residuals, contrast gain and status."""
+"""What a fit is worth: the sign of v, residuals, covariance, contrast gain and status."""
 
 from dataclasses import dataclass
 
@@ -6,19 +6,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from emoflow_ros.core.epipolar import cheirality, dec_residual, motion_matrices
+from emoflow_ros.core.epipolar import cheirality
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.implicit import losses
 from emoflow_ros.core.implicit.config import ImplicitConfig
 from emoflow_ros.core.implicit.fit import Fit, Problem
+from emoflow_ros.core.implicit.residuals import epipolar_residuals, rotation_residuals
 from emoflow_ros.core.implicit.warp import warp
 from emoflow_ros.core.spline import basis
 
 Array = NDArray[np.float64]
 
-# The median of absolute values times this is the deviation of a normal distribution.
-_MEDIAN_TO_SIGMA = 1.4826
-_INLIER_SCALES = 3.0
+# Flow errors of the network go together over about this distance.
+_CORRELATION_PX = 48
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,13 @@ class Assessment:
         angular_points: (4, 3) control points, rad/s.
         linear_points: (4, 3) control points with the sign of positive depth; zeros for a
             pure rotation.
+        covariance: (6, 6) of (linear, angular), see Estimate.
     """
 
     status: Status
     angular_points: Array
     linear_points: Array
+    covariance: Array
     contrast_gain: float
     residual_px: float
     inlier_fraction: float
@@ -54,23 +56,29 @@ def assess(problem: Problem, result: Fit, focal: float, config: ImplicitConfig) 
     angular = result.motion.angular_points.double().cpu().numpy()
     linear = result.motion.linear_points.double().cpu().numpy()
     w = basis_weights @ angular
-    if config.loss.geometry == "rotation":
+    rotation = config.loss.geometry == "rotation"
+    if rotation:
         linear = np.zeros_like(linear)
-        residual = _rotation_residual(bearings, flow, w)
+        residuals = rotation_residuals(bearings, flow, w)
     else:
         v = basis_weights @ linear
         linear = linear * _sign(bearings, flow, v, w)
-        residual = _epipolar_residual(bearings, flow, v, w)
-    residual = np.abs(residual) * focal * problem.duration
-    scale = float(_MEDIAN_TO_SIGMA * np.median(residual))
+        residuals = epipolar_residuals(bearings, flow, v, w)
     gain = _contrast_gain(problem, result, config)
+    status = _status(gain, residuals.scale, config)
+    covariance = np.zeros((6, 6))
+    if status is Status.OK:
+        covariance = residuals.covariance(_patches(problem) / len(bearings))
+    if rotation:
+        covariance[0, 0] = -1.0
     return Assessment(
-        status=_status(gain, scale, config),
+        status=status,
         angular_points=angular,
         linear_points=linear,
+        covariance=covariance,
         contrast_gain=gain,
-        residual_px=scale,
-        inlier_fraction=float(np.mean(residual <= _INLIER_SCALES * scale)),
+        residual_px=residuals.scale * focal * problem.duration,
+        inlier_fraction=float(np.mean(residuals.inliers)),
     )
 
 
@@ -99,17 +107,10 @@ def _sign(bearings: Array, flow: Array, v: Array, w: Array) -> float:
     return -1.0 if agreement < 0 else 1.0
 
 
-def _epipolar_residual(bearings: Array, flow: Array, v: Array, w: Array) -> Array:
-    """Distance (N,) of the flow from what the motion allows at any depth, 1/s."""
-    a, _ = motion_matrices(bearings)
-    line = np.linalg.norm(np.einsum("nij,nj->ni", a, v), axis=-1)
-    return dec_residual(bearings, flow, v, w) / np.maximum(line, 1e-12)
-
-
-def _rotation_residual(bearings: Array, flow: Array, w: Array) -> Array:
-    """Both components (2 N,) of the flow that the rotation leaves over, 1/s."""
-    _, b = motion_matrices(bearings)
-    return (flow - np.einsum("nij,nj->ni", b, w)).ravel()
+def _patches(problem: Problem) -> int:
+    """Count the patches of the image that hold events, each with a flow error of its own."""
+    patches = (problem.x // _CORRELATION_PX).long()
+    return len(patches.unique(dim=0))
 
 
 def _contrast_gain(problem: Problem, result: Fit, config: ImplicitConfig) -> float:

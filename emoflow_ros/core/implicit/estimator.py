@@ -80,6 +80,7 @@ class ImplicitEstimator:
             model=MotionModel.ROTATION if rotation else MotionModel.FULL,
             linear=motion.linear(middle),
             angular=motion.angular(middle),
+            covariance=found.covariance,
             flow=ImplicitFlow(
                 result.field, window.t_start, camera.width, camera.height, self._config.warp
             ),

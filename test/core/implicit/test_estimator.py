@@ -102,6 +102,17 @@ def test_motion_holds_at_the_middle(estimate: Estimate) -> None:
     assert np.linalg.norm(estimate.linear) == pytest.approx(1)
 
 
+def test_covariance_is_across_the_direction(estimate: Estimate) -> None:
+    assert estimate.translation_observable
+    covariance = estimate.covariance
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12 * np.trace(covariance)
+    assert (np.diag(covariance) > 0).all()
+    # The direction turns little within the window.
+    along = estimate.linear @ covariance[:3, :3] @ estimate.linear
+    assert along < 1e-3 * np.trace(covariance[:3, :3])
+
+
 def test_flow_products_agree_with_each_other(estimate: Estimate) -> None:
     flow = estimate.flow
     assert flow is not None
@@ -146,6 +157,8 @@ def test_rotation_geometry_publishes_no_translation(camera: Camera, window: Wind
     assert not estimate.translation_observable
     np.testing.assert_array_equal(estimate.linear, np.zeros(3))
     assert estimate.covariance[0, 0] == -1
+    assert not estimate.covariance[:3, 1:].any()
+    assert np.linalg.eigvalsh(estimate.covariance[3:, 3:]).min() > 0
 
 
 def test_stops_early_when_nothing_improves(camera: Camera, window: Window) -> None:
