@@ -37,10 +37,10 @@ def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, calm_bag):
     assert call(monkeypatch, *options, "--out", tmp_path / "whole") == 0
     monkeypatch.setattr("emoflow_ros.offline.checkpoint._PERIOD_S", 0.0)
 
-    def killed(progress, window, truth, writer, done=evaluation._process):
+    def killed(progress, *rest, done=evaluation._process):
         if len(progress.windows) == 6:
             raise KeyboardInterrupt
-        done(progress, window, truth, writer)
+        done(progress, *rest)
 
     with monkeypatch.context() as patched:
         patched.setattr(evaluation, "_process", killed)
