@@ -20,7 +20,7 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{PACKAGE}/config", sorted(glob("config/*"))),
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "ray": ["ray"]},
     entry_points={
         "console_scripts": [
             f"estimator = {PACKAGE}.node.estimator:main",
@@ -28,6 +28,7 @@ setup(
             f"evaluate = {PACKAGE}.offline.evaluate:main",
             f"simulate = {PACKAGE}.simulation.simulate:main",
             f"info = {PACKAGE}.offline.info:main",
+            f"label = {PACKAGE}.offline.label:main",
         ],
     },
 )

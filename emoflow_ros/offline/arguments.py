@@ -1,7 +1,7 @@
 """Command-line options that executables over recordings share, and what they mean."""
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,11 @@ class Source:
     topic: str | None = None
     calibration: Path | None = None
     sequence: Sequence | None = None
+
+    def resolved(self) -> "Source":
+        """Return the same with absolute paths, for other processes."""
+        calibration = self.calibration and self.calibration.resolve()
+        return replace(self, path=self.path.resolve(), calibration=calibration)
 
     def open(self) -> Recording:
         """Open the recording: use it as a context manager.

@@ -119,6 +119,7 @@ class EstimatesWriter:
         save_flow: whether to store the dense displacement of every window, too.
         tracks: number of point tracks to store for every window.
         more: further columns by name, whose values `append` is given.
+        attributes: further attributes of the file.
         keep: how many rows of an existing file to keep (written with the same arguments); with 0
             it is replaced.
 
@@ -136,6 +137,7 @@ class EstimatesWriter:
         save_flow: bool = False,
         tracks: int = 0,
         more: Mapping[str, Column] | None = None,
+        attributes: Mapping[str, str] | None = None,
         keep: int = 0,
     ) -> None:
         try:
@@ -158,6 +160,7 @@ class EstimatesWriter:
                 "source": source,
                 "camera": json.dumps(dataclasses.asdict(camera)),
                 "configuration": json.dumps(dict(configuration)),
+                **(attributes or {}),
             }
         )
         columns = _COLUMNS | (_track_columns(tracks) if tracks else {}) | dict(more or {})
@@ -190,11 +193,8 @@ class EstimatesWriter:
             "runtime_s": estimate.quality.runtime_s,
         }
         if "flow" in self._file:
-            values["flow"] = (
-                estimate.flow.displacement(estimate.t_start, estimate.t_end)
-                if estimate.flow is not None
-                else np.nan
-            )
+            flow = estimate.flow
+            values["flow"] = flow.displacement(estimate.t_start, estimate.t_end) if flow else np.nan
         if tracks is not None:
             values["tracks"] = tracks.positions
             values["track_times_ns"] = tracks.times

@@ -1,0 +1,152 @@
+"""Chunks of a recording that are labelled one by one: how they are cut, and the work on one.
+
+The windows of all chunks lie on one grid, counted from the recording's first event, so that
+together they are the windows of a run without chunks. Before its own windows a chunk estimates
+those of its margin, for the warm start only.
+"""
+
+import math
+import os
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import uuid4
+
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window, WindowPolicy
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.arguments import Source
+from emoflow_ros.offline.evaluation import attempt
+from emoflow_ros.offline.intervals import Interval, IntervalSlicer
+from emoflow_ros.offline.label_file import Header, LabelWriter
+from emoflow_ros.offline.readers import Recording
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A run of windows of one recording.
+
+    Attributes:
+        index: position in the recording.
+        start: of the first window that is labelled, ns.
+        windows: how many are labelled; those without any event are left out.
+        margin: how many before them are estimated only.
+    """
+
+    index: int
+    start: int
+    windows: int
+    margin: int
+
+    def intervals(self, policy: WindowPolicy) -> list[Interval]:
+        """All windows (start, end) in ns, those of the margin first."""
+        duration, stride = _grid(policy)
+        starts = (self.start + k * stride for k in range(-self.margin, self.windows))
+        return [(start, start + duration) for start in starts]
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that is needed to label one chunk, in any process.
+
+    Attributes:
+        source: how the recording is opened.
+        config: of windows and estimator.
+        header: of the recording's label file.
+        chunk: the windows.
+        target: the file to write.
+    """
+
+    source: Source
+    config: Config
+    header: Header
+    chunk: Chunk
+    target: Path
+
+
+def plan_chunks(
+    span: tuple[int, int], policy: WindowPolicy, chunk_s: float, margin_s: float
+) -> list[Chunk]:
+    """Divide the whole windows of a recording.
+
+    Args:
+        span: times of the first and the last event, ns.
+        policy: windows by time.
+        chunk_s: about how long a chunk is, s; it holds at least one window.
+        margin_s: how much is estimated before a chunk, s; where the recording goes so far back.
+
+    Returns:
+        The chunks in order; none where the recording is shorter than a window.
+    """
+    first, last = span
+    duration, stride = _grid(policy)
+    total = max(0, (last - first - duration) // stride + 1)
+    size = max(1, round(chunk_s * NS_PER_S / stride))
+    margin = math.ceil(margin_s * NS_PER_S / stride)
+    return [
+        Chunk(k // size, first + k * stride, min(size, total - k), min(margin, k))
+        for k in range(0, total, size)
+    ]
+
+
+def event_span(recording: Recording) -> tuple[int, int]:
+    """Find the times of a recording's first and last event, ns.
+
+    Raises:
+        InputError: damaged data, or no events.
+    """
+    first = next(int(events.t[0]) for events in recording.event_chunks() if len(events))
+    back_s = 1.0  # a bag's duration is that of its log times
+    while True:
+        since = first
+        if recording.duration is not None:
+            since += max(0, round((recording.duration - back_s) * NS_PER_S))
+        last = max((int(e.t[-1]) for e in recording.event_chunks(since) if len(e)), default=None)
+        if last is not None:
+            return first, last
+        back_s *= 10
+
+
+def label_chunk(job: Job) -> str:
+    """Estimate a chunk's windows and write them; the file appears in one step when it is whole.
+
+    Returns:
+        Nothing, or in one line why it could not be done.
+    """
+    partial = job.target.with_name(f"{job.target.name}.{uuid4().hex}.partial")
+    try:
+        with (
+            job.source.open() as recording,
+            LabelWriter(partial, job.header, job.chunk.index) as writer,
+        ):
+            estimator = make_estimator(job.header.camera, job.config)
+            for window in _windows(recording, job.chunk.intervals(job.config.window)):
+                estimate, note = attempt(estimator, window)
+                if window.t_start >= job.chunk.start:
+                    writer.append(window, estimate, note)
+        os.replace(partial, job.target)
+    except InputError as error:
+        return str(error)
+    except Exception as error:  # one recording must not cost the others
+        traceback.print_exc()
+        return f"{job.source.path}: {type(error).__name__}: {' '.join(str(error).split())}"
+    finally:
+        partial.unlink(missing_ok=True)
+    return ""
+
+
+def _windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window]:
+    """Cut the windows; what follows them is not read."""
+    slicer = IntervalSlicer(intervals)
+    for events in recording.event_chunks(intervals[0][0]):
+        yield from slicer.push(events)
+        if len(events) and events.t[-1] >= intervals[-1][1]:
+            return
+
+
+def _grid(policy: WindowPolicy) -> tuple[int, int]:
+    """Length and stride of the windows, ns."""
+    duration = round(policy.duration_ms * NS_PER_MS)
+    return duration, round(policy.stride_ms * NS_PER_MS) or duration
