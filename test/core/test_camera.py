@@ -82,6 +82,38 @@ def test_flow_jacobian_is_the_derivative_of_the_bearing(lens):
 
 
 @pytest.mark.parametrize("lens", LENSES)
+def test_flow_jacobian_is_the_derivative_of_opencvs_bearings(lens):
+    """Central differences of OpenCV's undistortion, over the whole image."""
+    camera = make(lens)
+    pixels = pixel_grid(camera)[::7, ::7].reshape(-1, 2)
+    step = 1e-2
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        ahead, behind = (opencv_undistorted(camera, pixels + s) for s in (shift, -shift))
+        expected = (ahead - behind) / (2 * step)
+        found = camera.flow_jacobian[::7, ::7, :, axis].reshape(-1, 2)
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_derivative_of_the_lens_is_opencvs(lens):
+    """cv2.projectPoints differentiates by a shift of the points, at a depth of 1."""
+    camera = make(lens)
+    points = np.random.default_rng(4).uniform(-0.7, 0.7, (200, 2))
+    rays = np.column_stack([points, np.ones(200)])
+    k, d, zero = camera.intrinsic_matrix, np.array(camera.distortion), np.zeros(3)
+    if lens == "equidistant":
+        _, jacobian = cv2.fisheye.projectPoints(rays[:, None], zero, zero, k, d)
+        by_shift = jacobian[:, 11:13]  # focal lengths, centre, coefficients and turn before it
+    else:
+        _, jacobian = cv2.projectPoints(rays, zero, zero, k, d)
+        by_shift = jacobian[:, 3:5]  # the turn before it
+    _, lens_jacobian = camera.distort(points)
+    found = lens_jacobian * np.array([[camera.fx], [camera.fy]])
+    np.testing.assert_allclose(found.reshape(-1, 2), by_shift, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", LENSES)
 def test_flow_jacobian_of_all_pixels(lens):
     camera = make(lens)
     _, jacobian = camera.undistort(pixel_grid(camera))
