@@ -4,6 +4,8 @@ import math
 from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -39,7 +41,9 @@ class SpeedInput:
         self.problem = ""
         self._node = node
         self._subscription: Subscription | None = None
-        self._timer = node.create_timer(_LOOK_S, self._look)
+        self._timer = node.create_timer(
+            _LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self._look()
 
     def close(self) -> None:
