@@ -165,7 +165,8 @@ def score(
     simulated = SimulatedTruth(recording.truth)
     scores = []
     for k, (window, (estimate, seconds)) in enumerate(zip(windows, estimates, strict=True)):
-        result = assess(k, window, estimate, Truth(simulated, simulated))
+        part = window.since(estimate.t_start)
+        result = assess(k, part, estimate, Truth(simulated, simulated))
         nees_w, nees_v = normalised_errors(estimate, result)
         scores.append(Score(result, seconds, float(cold_seconds[k]), nees_w, nees_v))
     return scores

@@ -6,6 +6,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.motion_windows import MotionWindows
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
@@ -18,18 +19,24 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
         InputError: the configuration asks for a device that is not there.
     """
     if isinstance(config.estimator, LatticeConfig):
-        from emoflow_ros.core.lattice_estimator import LatticeEstimator
+        estimator = _make_lattice_estimator(camera, config.estimator)
+    else:
+        from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 
-        if config.estimator.device == "cpu":
-            return LatticeEstimator(camera, config.estimator)
-        from emoflow_ros.core.contrast_torch import TorchContrast
-        from emoflow_ros.core.device import require_cuda
+        estimator = ImplicitEstimator(camera, config.estimator)
+    if config.window.max_displacement_px == 0:
+        return estimator
+    return MotionWindows(estimator, camera, config.window)
 
-        require_cuda()
-        make_contrast = partial(
-            TorchContrast, device=config.estimator.device, capacity=config.estimator.max_events
-        )
-        return LatticeEstimator(camera, config.estimator, make_contrast)
-    from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 
-    return ImplicitEstimator(camera, config.estimator)
+def _make_lattice_estimator(camera: Camera, config: LatticeConfig) -> Estimator:
+    from emoflow_ros.core.lattice_estimator import LatticeEstimator
+
+    if config.device == "cpu":
+        return LatticeEstimator(camera, config)
+    from emoflow_ros.core.contrast_torch import TorchContrast
+    from emoflow_ros.core.device import require_cuda
+
+    require_cuda()
+    make_contrast = partial(TorchContrast, device=config.device, capacity=config.max_events)
+    return LatticeEstimator(camera, config, make_contrast)

@@ -78,10 +78,11 @@ def grid_times(t_start: int, t_end: int, rate: float, after: int) -> list[int]:
 
 
 def sample(estimate: Estimate, times: Sequence[int]) -> list[Twist]:
-    """Evaluate an estimate's spline at times (ns) of its window."""
+    """Evaluate an estimate's spline at times (ns), leaving out those before its window."""
     motion = estimate.motion
     if motion is None:
         return []
+    times = [t for t in times if t >= estimate.t_start]
     still = np.zeros(3)
     observable = estimate.translation_observable
     return [Twist(t, motion.linear(t) if observable else still, motion.angular(t)) for t in times]

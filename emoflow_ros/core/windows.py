@@ -29,10 +29,18 @@ class Window:
         """Length in seconds."""
         return (self.t_end - self.t_start) / NS_PER_S
 
+    def since(self, t: int) -> "Window":
+        """Return the part from time t (ns) on, the window itself if it starts no earlier."""
+        if t <= self.t_start:
+            return self
+        return Window(t, self.t_end, self.events[int(np.searchsorted(self.events.t, t)) :])
+
 
 @dataclass(frozen=True)
 class WindowPolicy:
     """How a stream is cut into windows: by time, or with count > 0 by events.
+
+    With max_displacement_px > 0 they are the longest that may be; motion_windows.py shortens them.
 
     Raises:
         InputError: a stride longer than the window, which would leave gaps.
@@ -54,6 +62,17 @@ class WindowPolicy:
     )
     count_stride: int = option(
         0, "events from one window's start to the next one's; 0 means count", minimum=0
+    )
+    max_displacement_px: float = option(
+        0.0,
+        "estimate of each window only the latest part, as long as its median displacement stays "
+        "at this; 0 takes windows whole",
+        unit="px",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    min_count: int = option(
+        10_000, "events that such a part holds at least, if the window does", minimum=100
     )
 
     def __post_init__(self) -> None:

@@ -103,6 +103,7 @@ class _Worker:
         estimate = self._estimator.estimate(window)
         if estimate.status is not Status.OK:
             return pack(estimate, [])
+        window = window.since(estimate.t_start)
         times = header["times"]
         twists = [at_middle(estimate)] if times is None else sample(estimate, times)
         answer, values = pack(estimate, twists)

@@ -216,6 +216,7 @@ def _process(
 ) -> None:
     """Estimate and assess the first pending window."""
     estimate, note = attempt(progress.estimator, window)
+    window = window.since(estimate.t_start)
     tracker = progress.tracker
     tracks = tracker.follow(estimate, truth) if tracker else None
     track_errors = tracks.errors if tracks else None

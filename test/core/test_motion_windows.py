@@ -1,0 +1,196 @@
+"""Windows by motion on streams that leave an exact number of events per pixel they move."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Estimate, Quality, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.motion_windows import MotionWindows
+from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
+
+MS = 1_000_000
+START = 1_500_000_000_000_000_000
+CAMERA = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
+PER_PX = 50  # events
+
+
+class Path:
+    """A camera whose image moves along a path that is linear between knots.
+
+    Args:
+        speeds: px/s in intervals of 100 ms.
+        per_px: events that it leaves per pixel.
+    """
+
+    def __init__(self, speeds, per_px: int = PER_PX) -> None:
+        self._t = START + 100 * MS * np.arange(len(speeds) + 1)
+        self._px = np.concatenate([[0.0], np.cumsum(speeds) * 0.1])
+        count = int(self._px[-1] * per_px) + 1
+        t = np.interp(np.arange(count) / per_px, self._px, (self._t - START).astype(float))
+        x = np.zeros(count, np.uint16)
+        self.events = Events(x, x, START + np.round(t).astype(np.int64), np.ones(count, np.bool_))
+
+    def between(self, t0: int, t1: int) -> float:
+        """Displacement in px."""
+        at = np.interp([t0 - START, t1 - START], self._t - START, self._px)
+        return float(at[1] - at[0])
+
+
+@dataclass
+class ExactFlow:
+    path: Path
+
+    def tracks(self, points, times):
+        moved = np.array([self.path.between(times[0], t) for t in times])
+        return points + moved[:, None, None] * np.array([0.6, -0.8])
+
+
+class ExactEstimator:
+    """Knows the path; notes the windows that it is given. `fails` says which of them it cannot."""
+
+    def __init__(self, path: Path, fails=lambda k: False) -> None:
+        self._path, self._fails = path, fails
+        self.windows: list[Window] = []
+        self.resets = 0
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def estimate(self, window: Window) -> Estimate:
+        status = Status.NO_MOTION if self._fails(len(self.windows)) else Status.OK
+        self.windows.append(window)
+        middle = (window.t_start + window.t_end) // 2
+        flow = ExactFlow(self._path) if status is Status.OK else None
+        quality = Quality(len(window.events))
+        return Estimate(window.t_start, window.t_end, middle, status, quality, flow=flow)
+
+
+def policy(bound: float = 8.0, min_count: int = 100, duration_ms=200.0, stride_ms=25.0):
+    return WindowPolicy(
+        duration_ms, stride_ms, max_displacement_px=bound, min_count=min_count
+    )  # fmt: skip
+
+
+def run(path: Path, policy: WindowPolicy, fails=lambda k: False) -> list[Window]:
+    """The parts that are estimated."""
+    exact = ExactEstimator(path, fails)
+    estimator = MotionWindows(exact, CAMERA, policy)
+    for window in WindowSlicer(policy).push(path.events):
+        estimate = estimator.estimate(window)
+        part = exact.windows[-1]
+        assert (estimate.t_start, estimate.t_end) == (part.t_start, part.t_end)
+        assert part.t_end == window.t_end
+        assert part.events.t[-1] == window.events.t[-1]
+    return exact.windows
+
+
+def test_before_the_motion_is_known_a_part_holds_the_least_number_of_events():
+    assert len(run(Path([200.0] * 5), policy(min_count=150))[0].events) == 150
+
+
+def test_the_median_displacement_is_the_bound():
+    path = Path([200.0] * 6)
+    for part in run(path, policy(8.0))[2:]:
+        assert path.between(part.t_start, part.t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
+        assert part.duration == pytest.approx(0.04, abs=1e-4)
+
+
+@pytest.mark.parametrize("change", [0.25, 4.0])
+def test_a_change_of_speed_counts_at_once(change):
+    """Also in the window in which it happens, and with the old estimate."""
+    path = Path([200.0] * 4 + [200.0 * change] * 4)
+    parts = run(path, policy(8.0, stride_ms=23.0))[2:]
+    assert [p for p in parts if p.t_start < START + 400 * MS < p.t_end]
+    for part in parts:
+        assert path.between(part.t_start, part.t_end) == pytest.approx(8.0, abs=2 / PER_PX)
+
+
+def test_slow_motion_gets_the_whole_window():
+    parts = run(Path([30.0] * 8), policy(8.0, duration_ms=200.0, stride_ms=100.0))
+    assert [round(p.duration, 6) for p in parts[2:]] == [0.2] * (len(parts) - 2)
+
+
+def test_few_events_lengthen_a_part():
+    """5 events per pixel: 8 px hold 40 of them, 100 are wanted."""
+    parts = run(Path([200.0] * 6, per_px=5), policy(8.0, min_count=100, stride_ms=50.0))
+    assert [len(p.events) for p in parts] == [100] * len(parts)
+    assert parts[-1].duration == pytest.approx(0.1, abs=0.002)
+
+
+def test_texture_is_learnt_in_one_window():
+    """Ten times as many events per pixel from one moment on."""
+    weak, strong = Path([200.0] * 4), Path([200.0] * 4, per_px=10 * PER_PX)
+    offset = int(weak.events.t[-1] - START)
+    later = Events(strong.events.x, strong.events.y, strong.events.t + offset, strong.events.p)
+    path = Path([200.0] * 8)
+    path.events = Events.concatenate([weak.events, later])
+    moved = [path.between(p.t_start, p.t_end) for p in run(path, policy(8.0))]
+    first = next(k for k in range(2, len(moved)) if moved[k] < 7.9)
+    assert moved[first] == pytest.approx(0.8, abs=0.02)
+    assert moved[-1] == pytest.approx(8.0, abs=2 / PER_PX)
+
+
+def test_without_an_estimate_parts_grow_to_the_whole_window_and_begin_anew():
+    path = Path([100.0] * 9)
+    parts = run(path, policy(8.0, duration_ms=200.0, stride_ms=100.0), fails=lambda k: k < 6)
+    assert [len(p.events) for p in parts[:7]] == [100, 200, 400, 800, 1000, 100, 200]
+    assert path.between(parts[7].t_start, parts[7].t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
+
+
+def test_reset_forgets_the_motion_and_resets_the_estimator():
+    path = Path([400.0] * 4)
+    exact = ExactEstimator(path)
+    estimator = MotionWindows(exact, CAMERA, policy(8.0, min_count=120))
+    windows = WindowSlicer(policy()).push(path.events)
+    for window in windows[:2]:
+        estimator.estimate(window)
+    assert len(exact.windows[-1].events) == pytest.approx(400, abs=2)
+    estimator.reset()
+    assert exact.resets == 1
+    estimator.estimate(windows[0])  # time has gone back
+    assert len(exact.windows[-1].events) == 120
+
+
+def test_windows_whose_last_events_lie_at_their_end_have_a_length():
+    t = np.full(300, START, np.int64)
+    t[200:] += MS
+    x = np.zeros(300, np.uint16)
+    window = Window(START, START + MS, Events(x, x, t, np.ones(300, np.bool_)))
+    exact = ExactEstimator(Path([100.0]))
+    MotionWindows(exact, CAMERA, policy(min_count=100)).estimate(window)
+    assert exact.windows[0].duration == 1 / NS_PER_S
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(5.0, 2000.0), min_size=3, max_size=10),
+    st.floats(2.0, 40.0),
+    st.sets(st.integers(0, 30)),
+    st.integers(1, 3),
+)
+def test_parts_move_on_and_depend_on_the_past_only(speeds, bound, failing, kept):
+    def parts(path):
+        return run(path, policy(bound), fails=lambda k: k in failing)
+
+    whole = parts(Path(speeds))
+    for a, b in pairwise(whole):
+        assert a.t_start <= b.t_start < b.t_end
+        assert a.t_end < b.t_end
+    early = parts(Path(speeds[: -kept or None]))
+    ends = [(p.t_start, p.t_end, len(p.events)) for p in early]
+    assert [(p.t_start, p.t_end, len(p.events)) for p in whole][: len(ends)] == ends
+
+
+def test_windows_are_taken_whole_unless_a_bound_is_set():
+    assert isinstance(make_estimator(CAMERA, load_config()), LatticeEstimator)
+    bounded = load_config(overrides={"window.max_displacement_px": 8.0})
+    assert isinstance(make_estimator(CAMERA, bounded), MotionWindows)
