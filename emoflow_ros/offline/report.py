@@ -145,7 +145,7 @@ def _html(
         facts=facts,
         measures=measures,
         by_truth=by_truth,
-        truth_keys=_shared_keys(by_truth),
+        truth_rows=_truth_rows(by_truth),
         charts=_charts(run),
         examples=[(e, png_uri(window_panels(e, run.camera, run.truth))) for e in examples],
         pictured={example.result.index for example in examples},
@@ -196,9 +196,13 @@ def _moving(path: Trajectory | None) -> Trajectory | None:
     return path if path is not None and path.has_translation else None
 
 
-def _shared_keys(by_truth: Mapping[str, Sequence[Measure]]) -> dict[str, Measure]:
-    """Measures of velocity by key, in the order of the sources; each stands for its row."""
-    return {measure.key: measure for of in by_truth.values() for measure in of}
+def _truth_rows(
+    by_truth: Mapping[str, Sequence[Measure]],
+) -> list[tuple[Measure, list[Measure | None]]]:
+    """Rows of the table of truths: a measure for its name, and its figure against each source."""
+    columns = [{measure.key: measure for measure in of} for of in by_truth.values()]
+    known = {key: measure for column in columns for key, measure in column.items()}
+    return [(known[key], [column.get(key) for column in columns]) for key in known]
 
 
 def _thinned(windows: Sequence[WindowResult], most: int) -> list[WindowResult]:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,6 +203,36 @@ def test_report_holds_the_values(folder, tmp_path):
     assert "window.duration_ms" in html
     assert html.count("data:image/png;base64,") >= 1
     assert not re.search(r'(src|href)="(?!data:|#)', html), "not self-contained"
+
+
+def test_report_shows_every_truth_and_moving_objects(folder, tmp_path):
+    """A gyro that says half the rate beside motion.txt, and an object in the upper half."""
+    t = np.arange(1.9, 2.7, 0.001)
+    readings = np.column_stack([t, np.zeros((len(t), 3)), np.tile(0.5 * OMEGA, (len(t), 1))])
+    np.savetxt(folder / "imu.txt", readings)
+    done = run(folder)
+    static = replace(done.windows[0].flow, epe_px=2.5)
+    done.windows[:] = [replace(w, static_flow=static) for w in done.windows]
+    written = write_report(done, {}, tmp_path)
+    report = json.loads(written.json.read_text())
+    summary, by_truth = report["summary"], report["velocity_by_truth"]
+    assert summary["moving_epe_px"]["value"] == pytest.approx(5.0, abs=1e-5)
+    assert summary["static_epe_px"]["value"] == pytest.approx(2.5)
+    assert by_truth["motion.txt"]["rate_ratio"]["value"] == pytest.approx(1.2)
+    assert by_truth["imu.txt"]["rate_ratio"]["value"] == pytest.approx(2.4)
+    apart = np.degrees(np.sqrt(np.mean((0.5 * OMEGA) ** 2)))
+    assert by_truth["imu.txt"]["truth_distance_deg_s"]["value"] == pytest.approx(apart)
+    assert report["windows"][0]["truth2_angular_y_rad_s"] == pytest.approx(0.25)
+    html = written.html.read_text()
+    assert "<th>motion.txt</th><th>imu.txt</th>" in html
+    assert "Flow EPE there, without its pixels" in html
+
+
+def test_links_of_the_report_lead_somewhere(folder, tmp_path):
+    html = write_report(run(folder), {}, tmp_path).html.read_text()
+    targets = re.findall(r'href="#([^"]+)"', html)
+    assert {"summary", "worst", "windows"} <= set(targets)
+    assert set(targets) <= set(re.findall(r'id="([^"]+)"', html))
 
 
 def test_numbers_for_people():
