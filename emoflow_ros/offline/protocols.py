@@ -1,5 +1,6 @@
 """Which windows are estimated and compared: freely cut ones, or a benchmark's intervals."""
 
+from collections.abc import Sequence as Ordered
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -141,11 +142,13 @@ def _dsec(
 ) -> Plan:
     images, source = _dsec_intervals(recording, truth, test_times)
     intervals = [(image.start, image.end) for image in images]
+    truth = replace(truth, flows=truth.flows and ListedFlow(truth.flows, intervals))
     words = f"{DSEC}: {len(intervals)} intervals of {source}"
     published = PUBLISHED.get(sequence.name) if sequence else None
     if clips == PAPER:
-        slicer: Slicer = ClipSlicer(intervals, DSEC_CLIP)
-        return Plan(slicer, truth, words + _clipped(DSEC_CLIP), published, images)
+        count = sequence.clip_events if sequence else DSEC_CLIP
+        slicer: Slicer = ClipSlicer(intervals, count)
+        return Plan(slicer, truth, words + _clipped(count), published, images)
     words += "; policy causal: the events of each and no others, "
     words += f"after a gap up to {_LEAD_IN} windows to warm up on"
     slicer = IntervalSlicer(with_lead_in(intervals, _LEAD_IN))
@@ -203,6 +206,19 @@ class CroppedFlow:
         valid = flow.valid.copy()
         valid[self._rows :] = False
         return replace(flow, valid=valid)
+
+
+class ListedFlow:
+    """True flow of which only given intervals count, and not windows to warm up on."""
+
+    def __init__(self, source: FlowSource, intervals: Ordered[Interval]) -> None:
+        self._source = source
+        self._intervals = frozenset(intervals)
+        self.description = source.description
+
+    def displacement(self, t0: int, t1: int) -> TrueFlow | None:
+        """Return the source's displacement over a given interval; None over others."""
+        return self._source.displacement(t0, t1) if (t0, t1) in self._intervals else None
 
 
 def _stamps(recording: Recording, truth: Truth) -> tuple[NDArray[np.int64], str]:

@@ -32,7 +32,7 @@ class Plane:
     end: int
     angular: np.ndarray
     linear: np.ndarray
-    dots: int = 3000
+    dots: int = 4800
 
     def pose(self, t: int) -> np.ndarray:
         """World-from-camera (4, 4): the closed form of a constant twist."""
@@ -66,9 +66,10 @@ class Plane:
         return dot_events(self, self.camera.project)
 
     def dots_in_camera(self, t: int) -> np.ndarray:
-        """The dots (N, 3) in the camera's axes."""
+        """The dots (N, 3) in the camera's axes, in spots of 16."""
         rng = np.random.default_rng(4)
-        xy = rng.uniform(-1, 1, (self.dots, 2)) * 1.2 * _DISTANCE
+        spots = rng.uniform(-1, 1, (self.dots // 16, 1, 2)) * 1.2 * _DISTANCE
+        xy = (spots + rng.normal(0, 0.01, (self.dots // 16, 16, 2))).reshape(-1, 2)
         z = (_DISTANCE - xy @ _NORMAL[:2]) / _NORMAL[2]
         world = np.column_stack([xy, z])
         inverse = np.linalg.inv(self.pose(t))
@@ -85,6 +86,7 @@ def dot_events(world: Plane, project) -> Events:
     """Events of the dots under a projection, in whole microseconds and in order."""
     width, height = world.camera.width, world.camera.height
     rng = np.random.default_rng(5)
+    brighter = np.arange(world.dots // 16 * 16) % 32 < 16  # every other spot
     parts, before = [], None
     for t in range(world.start, world.end, STEP):
         at = np.rint(project(world.dots_in_camera(t)))
@@ -93,7 +95,7 @@ def dot_events(world: Plane, project) -> Events:
             inside = moved & (at >= 0).all(-1) & (at < (width, height)).all(-1)
             x, y = at[inside].astype(np.uint16).T
             times = t - STEP + 1000 * np.sort(rng.integers(1, STEP // 1000, inside.sum()))
-            parts.append(Events(x, y, times.astype(np.int64), rng.random(len(x)) < 0.5))
+            parts.append(Events(x, y, times.astype(np.int64), brighter[inside]))
         before = at
     return Events.concatenate(parts)
 

@@ -1,5 +1,6 @@
 """Recordings in MVSEC's and DSEC's formats through every protocol, against plain loops."""
 
+import json
 import math
 
 import numpy as np
@@ -19,6 +20,7 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.offline.arguments import Source
+from emoflow_ros.offline.evaluate import main
 from emoflow_ros.offline.evaluation import evaluate
 from emoflow_ros.offline.protocols import make_plan
 from emoflow_ros.offline.sequences import SEQUENCES, Sequence
@@ -245,6 +247,23 @@ def test_flow_from_depth_and_poses_is_the_planes(mvsec, world, form):
     known = found.valid & np.isfinite(exact).all(-1)
     assert known.mean() > 0.95
     np.testing.assert_allclose(found.displacement[known], exact[known], atol=1e-3)
+
+
+def test_mvsec_files_to_report(monkeypatch, tmp_path, mvsec):
+    """The executable and the real estimator on everything that MVSEC has for a sequence."""
+    data, truth = mvsec["hdf5"]
+    arguments = [data, "--sequence", "outdoor_day1", "--protocol", "mvsec-dt4"]
+    arguments += ["--policy", "paper", "--gt", truth, mvsec["npz"], mvsec["odom_path"]]
+    arguments += ["--out", tmp_path]
+    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
+    assert main() == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert "policy paper: 40000 events around each" in report["protocol"]
+    assert report["windows_ok"] == report["windows_total"] > 0
+    assert "synthetic_odom.npz" in " ".join(report["truth"])
+    summary = {key: entry["value"] for key, entry in report["summary"].items()}
+    assert summary["epe_px"] < 0.3 * summary["true_displacement_px"]
+    assert summary["angular_rms_deg_s"] < 5
 
 
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)

@@ -16,9 +16,10 @@ class SmoothedOdometry:
     """Velocities as the file has them, in the left camera's frame, linear between its stamps.
 
     They are differences of consecutive poses that went through a mean over 21 of them, in
-    place, so that the ten before each are smoothed already: slow, and late by some frames. They
-    serve comparison with figures that were computed from them. The file's orientations are
-    not usable (all four components were written to one column), so there are no poses in it.
+    place, so that the ten before each are smoothed already: at 20 frames per second, 28 % of a
+    1 Hz oscillation are left, 0.2 s early. They serve comparison with figures that were
+    computed from them. The file's orientations are not usable (all four components were written
+    to one column), so there are no poses in it.
 
     Raises:
         InputError: not such a file.
