@@ -20,10 +20,14 @@ _TEMPLATE = "comparison.html.j2"
 # Errors per window: name in report.json, label, unit; less is better.
 ERRORS = (
     ("epe_px", "Flow EPE", "px"),
+    ("out_percent", "Outliers, 3PE", "%"),
+    ("static_epe_px", "Flow EPE without moving objects", "px"),
+    ("ae_deg", "Flow angular error", "deg"),
     ("angular_error_deg_s", "|error of ω|", "deg/s"),
     ("direction_error_deg", "Direction error of v", "deg"),
     ("runtime_s", "Time per window", "s"),
 )
+_CHARTS = ("epe_px", "angular_error_deg_s", "direction_error_deg")
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Run:
         return {
             (w["t_start_s"], w["t_end_s"]): float(w[key])
             for w in self.report["windows"]
-            if w[key] is not None
+            if w.get(key) is not None
         }
 
 
@@ -132,7 +136,11 @@ def write_comparison(runs: Sequence[Run], folder: Path) -> Path:
         key: [run.report["summary"].get(key) for run in runs]
         for key in dict.fromkeys(key for run in runs for key in run.report["summary"])
     }
-    chart = runs_over_time([(run.name, run.series("epe_px")) for run in runs], "Flow EPE", "px")
+    charts = [
+        (label, runs_over_time([(run.name, run.series(key)) for run in runs], label, unit))
+        for key, label, unit in ERRORS
+        if key in _CHARTS
+    ]
     write_json(
         folder / "comparison.json",
         {
@@ -148,7 +156,7 @@ def write_comparison(runs: Sequence[Run], folder: Path) -> Path:
         measures=measures,
         differences=differences,
         changed=changed,
-        chart=svg_uri(chart) if chart else None,
+        charts=[(title, svg_uri(chart)) for title, chart in charts if chart],
     )
     page.write_text(text, encoding="utf-8")
     return page

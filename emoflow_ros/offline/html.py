@@ -29,7 +29,8 @@ def format_number(value: float | None, digits: int = 2) -> str:
     """Format with a fixed number of digits; a dash where there is no value."""
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
-    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    rounded = round(value, digits) + 0.0  # no negative zero
+    return f"{rounded:.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def format_count(value: int) -> str:

@@ -21,7 +21,9 @@ def report(epe, start=10.0, **configuration):
         }
         for i, value in enumerate(epe)
     ]
-    summary = {"epe_px": {"label": "Flow EPE", "unit": "px", "value": float(np.mean(epe))}}
+    mean = float(np.mean(epe))
+    entry = {"label": "Flow EPE", "unit": "px", "value": mean, "interval_95": [None, None]}
+    summary = {"epe_px": entry}
     return {
         "source": "a.bag",
         "windows_total": len(windows),

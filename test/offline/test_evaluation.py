@@ -240,6 +240,7 @@ def test_numbers_for_people():
     assert format_number(float("nan")) == "\N{EN DASH}"
     assert format_number(None) == "\N{EN DASH}"
     assert format_number(2.0, 0) == "2"
+    assert format_number(-0.001) == "0.00"
     assert format_count(1234567) == "1\N{NARROW NO-BREAK SPACE}234\N{NARROW NO-BREAK SPACE}567"
 
 
