@@ -1,0 +1,74 @@
+"""Windows by motion in the worker: what a bag gives without ROS, bit by bit."""
+
+import queue
+import time
+
+import numpy as np
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowSlicer
+from emoflow_ros.node.supervisor import Supervisor
+from emoflow_ros.node.tasks import Outcome, Result, Task, Wishes
+
+CAMERA = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
+PERIOD = 5 * NS_PER_MS  # of the twists
+SPEEDS = np.array([150.0, 600.0])  # px/s, in the first and the last 200 ms
+CONFIG = load_config(
+    overrides={
+        "window.duration_ms": 90.0,
+        "window.stride_ms": 45.0,
+        "window.max_displacement_px": 9.0,
+        "window.min_count": 5000,
+        "estimator.max_events": 5000,
+    }
+)
+
+
+def moving_dots() -> Events:
+    """Dots that move right, faster from 200 ms on, with 1000 events per pixel of the way."""
+    rng = np.random.default_rng(0)
+    way = np.concatenate([[0.0], np.cumsum(SPEEDS * 0.2)])
+    moved = np.sort(rng.uniform(0, way[-1], int(1000 * way[-1])))
+    t = np.interp(moved, way, 200.0 * NS_PER_MS * np.arange(3)).astype(np.int64)
+    dots = rng.integers(0, (CAMERA.width, CAMERA.height), (400, 2))
+    dot = rng.integers(0, len(dots), len(t))
+    x = (dots[dot, 0] + moved.astype(np.int64)) % CAMERA.width
+    return Events(x.astype(np.uint16), dots[dot, 1].astype(np.uint16), t, dot % 2 == 0)
+
+
+def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() -> None:
+    windows = WindowSlicer(CONFIG.window).push(moving_dots())
+    estimator = make_estimator(CAMERA, CONFIG)
+    expected = [estimator.estimate(window) for window in windows]
+    assert [e.status for e in expected] == [Status.OK] * 7
+    lengths = [(e.t_end - e.t_start) / NS_PER_S for e in expected]
+    assert 0.045 < lengths[2] < 0.08 and lengths[-1] < 0.025  # 60 and 15 ms for 9 px
+
+    outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
+    supervisor = Supervisor(
+        capacity=len(windows), timeout_s=60.0, may_use_cpu=False, on_outcome=outcomes.put
+    )
+    supervisor.configure(CAMERA, CONFIG)
+    supervisor.wishes = Wishes(twist_rate=NS_PER_S / PERIOD)
+    for window in windows:
+        supervisor.queue.put(Task(window, 0, 0, "camera", time.monotonic()))
+    supervisor.start()
+    try:
+        last = -PERIOD
+        for its in expected:
+            result = outcomes.get(timeout=60.0)
+            assert isinstance(result, Result), result
+            mine = result.estimate
+            assert (mine.t_start, mine.t_end, mine.t) == (its.t_start, its.t_end, its.t)
+            for name in ("linear", "angular", "covariance"):
+                np.testing.assert_array_equal(getattr(mine, name), getattr(its, name))
+            times = [twist.t for twist in result.twists]
+            first = max(-(-its.t_start // PERIOD) * PERIOD, last + PERIOD)
+            assert times == list(range(first, its.t_end, PERIOD))
+            last = times[-1]
+    finally:
+        supervisor.stop()
