@@ -29,9 +29,9 @@ _MAX_CHART_WINDOWS = 2000
 
 DEFINITIONS = (
     "Flow errors compare the displacement over the window at pixels that hold an event of the "
-    "window and whose truth is finite with |u| > 0 and |v| > 0; they are averaged over the "
-    "pixels of a window first and over windows second. 1/2/3PE is the share of pixels that are "
-    "off by more than 1, 2 and 3 px.",
+    "window and whose truth is finite with |u| > 0 and |v| > 0 (DSEC's protocol: at all pixels "
+    "with truth); they are averaged over the pixels of a window first and over windows second. "
+    "1/2/3PE is the share of pixels that are off by more than 1, 2 and 3 px.",
     "Angular flow error is the angle between (u, v, 1) and the true (u, v, 1), in pixels over "
     "the window.",
     "Tracks are carried from window to window until they leave the image; their error is the "

@@ -10,8 +10,8 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.truth.base import TrueTwist
 
 # The filter: a cubic polynomial fitted to the poses within this time of the query. Third order
-# keeps the bias of a 1 Hz oscillation below 2 %, where MVSEC's own smoothing, a mean over 21
-# frames, loses half of it.
+# keeps the bias of a 1 Hz oscillation below 2 %, where MVSEC's own smoothing (odom_npz.py) leaves
+# a quarter of it.
 HALF_WIDTH_S = 0.15
 _ORDER = 3
 
