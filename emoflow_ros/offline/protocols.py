@@ -86,6 +86,12 @@ def make_plan(
     """
     _check("--protocol", protocol, PROTOCOLS)
     _check("--policy", clips, POLICIES)
+    if protocol != WINDOWS and policy.max_displacement_px:
+        raise InputError(
+            "window.max_displacement_px",
+            f"{policy.max_displacement_px:g} px would shorten the intervals of {protocol}",
+            f"leave it at 0, or give --protocol {WINDOWS}",
+        )
     if protocol == WINDOWS:
         plan = _free_windows(truth, policy, clips)
     elif protocol == DSEC:
@@ -107,6 +113,8 @@ def _free_windows(truth: Truth, policy: WindowPolicy, clips: str) -> Plan:
     else:
         stride = policy.stride_ms or policy.duration_ms
         words = f"windows of {policy.duration_ms:g} ms every {stride:g} ms"
+    if policy.max_displacement_px:
+        words += f", of each the latest {policy.max_displacement_px:g} px"
     return Plan(WindowSlicer(policy), truth, words)
 
 
