@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
+from threadpoolctl import threadpool_limits
+
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window, WindowPolicy
@@ -121,11 +123,7 @@ def label_chunk(job: Job) -> str:
             job.source.open() as recording,
             LabelWriter(partial, job.header, job.chunk.index) as writer,
         ):
-            estimator = make_estimator(job.header.camera, job.config)
-            for window in _windows(recording, job.chunk.intervals(job.config.window)):
-                estimate, note = attempt(estimator, window)
-                if window.t_start >= job.chunk.start:
-                    writer.append(window, estimate, note)
+            _estimate(job, recording, writer)
         os.replace(partial, job.target)
     except InputError as error:
         return str(error)
@@ -135,6 +133,16 @@ def label_chunk(job: Job) -> str:
     finally:
         partial.unlink(missing_ok=True)
     return ""
+
+
+def _estimate(job: Job, recording: Recording, writer: LabelWriter) -> None:
+    """Estimate all windows, in one thread: cores work on chunks of their own."""
+    estimator = make_estimator(job.header.camera, job.config)
+    with threadpool_limits(1):
+        for window in _windows(recording, job.chunk.intervals(job.config.window)):
+            estimate, note = attempt(estimator, window)
+            if window.t_start >= job.chunk.start:
+                writer.append(window, estimate, note)
 
 
 def _windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window]:

@@ -16,7 +16,6 @@ Run = Callable[[Iterable[Job]], Iterator[tuple[Job, str]]]
 LOCAL = "local"
 _RETRIES = 3  # of a job whose worker died
 _OBJECT_STORE = 80 << 20  # bytes, the least that Ray takes: jobs read and write files
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def run_here(jobs: Iterable[Job]) -> Iterator[tuple[Job, str]]:
@@ -50,12 +49,7 @@ def ray_workers(address: str, count: int | None) -> Generator[Run]:
             "object_store_memory": _OBJECT_STORE,
         }
     try:
-        ray.init(
-            address,
-            logging_level="ERROR",
-            runtime_env={"env_vars": _ONE_THREAD},
-            **start,
-        )
+        ray.init(address, logging_level="ERROR", **start)
     except (ConnectionError, ValueError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(

@@ -5,6 +5,7 @@ import json
 import h5py
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.offline import label, label_chunks
@@ -130,6 +131,20 @@ def test_margin_is_estimated_and_not_written(monkeypatch, tmp_path, ecd):
     assert angular[4][0] == sums[4] + sums[3] / 2 + sums[2] / 4
     assert angular[8][0] == sums[8] + sums[7] / 2 + sums[6] / 4
     assert len(Remembering.seen) == 19 + 4 * 2
+
+
+def test_labelling_takes_one_thread(monkeypatch, tmp_path, ecd):
+    threads = []
+
+    def estimate(self, window, estimate=Remembering.estimate):
+        threads.extend(pool["num_threads"] for pool in threadpool_info())
+        return estimate(self, window)
+
+    monkeypatch.setattr(Remembering, "estimate", estimate)
+    with threadpool_limits(2):
+        assert call(monkeypatch, tmp_path / "out", ecd("a", seconds=0.2)) == 0
+        assert max(pool["num_threads"] for pool in threadpool_info()) == 2
+    assert set(threads) == {1}
 
 
 def test_window_that_raises_is_recorded(monkeypatch, tmp_path, ecd):
