@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from threadpoolctl import ThreadpoolController
 
@@ -31,6 +31,15 @@ class Slicer(Protocol):
 
     def push(self, events: Events) -> list[Window]:
         """Take the next events and return the windows they complete."""
+        ...
+
+
+@runtime_checkable
+class EndingSlicer(Slicer, Protocol):
+    """A slicer that has windows left when the stream ends."""
+
+    def finish(self) -> list[Window]:
+        """Return the windows that would wait for events after the last ones."""
         ...
 
 

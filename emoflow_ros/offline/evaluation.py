@@ -13,7 +13,7 @@ from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.checkpoint import Checkpoint, Progress, Slicer
+from emoflow_ros.offline.checkpoint import Checkpoint, EndingSlicer, Progress, Slicer
 from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.gallery import Gallery
@@ -185,6 +185,9 @@ def _windows(recording: Recording, progress: Progress) -> Iterator[Window]:
         last = int(events.t[-1])
         progress.pending.extend(progress.slicer.push(events))
         progress.events += len(events)
+        yield from _pending(progress)
+    if isinstance(progress.slicer, EndingSlicer):
+        progress.pending.extend(progress.slicer.finish())
         yield from _pending(progress)
     if not progress.windows and progress.first is not None and last is not None:
         raise InputError(

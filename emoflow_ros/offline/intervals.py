@@ -8,7 +8,7 @@ import numpy as np
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
-from emoflow_ros.offline.checkpoint import Slicer
+from emoflow_ros.offline.checkpoint import EndingSlicer, Slicer
 from emoflow_ros.offline.clips import Clip
 
 Interval = tuple[int, int]  # start, end in ns
@@ -57,20 +57,26 @@ class ClipSlicer:
     def push(self, events: Events) -> list[Window]:
         """Take the next events and return the clips they complete."""
         self._pending = Events.concatenate([self._pending, events])
+        return self._cut(ended=False)
+
+    def finish(self) -> list[Window]:
+        """Return the clips of complete intervals that lack events from after the stream's end."""
+        return self._cut(ended=True)
+
+    def _cut(self, *, ended: bool) -> list[Window]:
         clips: list[Window] = []
-        while self._intervals and len(self._pending):
+        pending = self._pending
+        while self._intervals and len(pending):
             start, end = self._intervals[0]
-            first, last = (int(i) for i in np.searchsorted(self._pending.t, [start, end]))
+            first, last = (int(i) for i in np.searchsorted(pending.t, [start, end]))
             half = max(0, self._count - (last - first)) // 2
-            if self._pending.t[-1] < end or len(self._pending) < last + half:
+            if pending.t[-1] < end or (len(pending) < last + half and not ended):
                 break
             self._intervals.popleft()
             if last > first:
                 begin = max(0, first - half) if half else max(first, last - self._count)
-                clips.append(
-                    _clip(start, end, self._pending[first:last], self._pending[begin : last + half])
-                )
-        self._pending = _without_past(self._pending, self._intervals, self._count // 2)
+                clips.append(_clip(start, end, pending[first:last], pending[begin : last + half]))
+        self._pending = _without_past(pending, self._intervals, self._count // 2)
         return clips
 
 
@@ -84,6 +90,12 @@ class CroppedSlicer:
     def push(self, events: Events) -> list[Window]:
         """Take the next events and return the windows they complete."""
         return [self._crop(window) for window in self._slicer.push(events)]
+
+    def finish(self) -> list[Window]:
+        """Return the windows that are left at the end of the stream."""
+        if not isinstance(self._slicer, EndingSlicer):
+            return []
+        return [self._crop(window) for window in self._slicer.finish()]
 
     def _crop(self, window: Window) -> Window:
         above = window.events[window.events.y < self._rows]

@@ -80,6 +80,18 @@ def test_clip_waits_for_its_future():
     assert len(slicer.push(stream(range(14, 15)))) == 1
 
 
+@pytest.mark.parametrize("rows", [None, 100])
+def test_end_of_the_stream_completes_a_clip(rows):
+    """The last interval has to be over, its clip does without the future then."""
+    slicer = ClipSlicer([(0, 10), (5, 20)], 20)
+    slicer = slicer if rows is None else CroppedSlicer(slicer, rows)
+    assert slicer.push(stream(range(14))) == []
+    (clip,) = slicer.finish()
+    np.testing.assert_array_equal(clip.events.t, np.arange(14))
+    assert slicer.finish() == []
+    assert CroppedSlicer(IntervalSlicer([(0, 10)]), 100).finish() == []
+
+
 def test_cropped_rows():
     (window,) = CroppedSlicer(IntervalSlicer([(0, 10)]), 7).push(stream(range(20)))
     np.testing.assert_array_equal(window.events.y, np.arange(7))
