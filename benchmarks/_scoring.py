@@ -40,6 +40,7 @@ class Score:
 class SimulatedTruth:
     """A simulation's truth as the evaluation takes it (a TwistSource and a FlowSource)."""
 
+    name = "simulation"
     description = "simulation, exact"
 
     def __init__(self, truth: GroundTruth) -> None:

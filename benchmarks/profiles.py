@@ -5,7 +5,8 @@ starts every window cold and takes minutes for each, so that it is run on the ch
 Two tables come out: all windows of each profile, and every profile on the windows of the slow ones.
 Everything runs on one thread. EPE, outliers and angular error are over the pixels with events,
 averaged per window and then over windows; the error of w is over windows and axes, that of v the
-median angle, sign included; seconds are the median, flow image included.
+median angle, sign included; seconds are medians, flow image included. Seconds of the processor
+stand beside those of the clock for machines that do something else, too.
 
 What is measured is kept in the folder, one file per profile and recording (and window): the same
 command goes on where it was cut. Delete the files of a profile whose code has changed.
@@ -135,8 +136,10 @@ def measure(job: Job, config: Config) -> Cell:
     truth = Truth(simulated, simulated)
     rows = []
     for index, window in chosen:
+        began = time.process_time()
         estimate, seconds = timed(estimator, window)
-        rows.append(_row(index, window, estimate, truth, seconds))
+        cpu_seconds = time.process_time() - began
+        rows.append(_row(index, window, estimate, truth, (seconds, cpu_seconds)))
     where = {"machine": machine(), "versions": versions(), "load_average_at_start": load}
     return Cell(job.profile, job.scene, job.seed, tuple(rows), config.flat(), where)
 
@@ -148,7 +151,9 @@ def _recording(
     return record(scene, seed, policy, WINDOWS)
 
 
-def _row(index: int, window: Window, estimate: Estimate, truth: Truth, seconds: float) -> Row:
+def _row(
+    index: int, window: Window, estimate: Estimate, truth: Truth, seconds: tuple[float, float]
+) -> Row:
     result = assess(index, window, estimate, truth)
     flow, static = result.flow, result.static_flow
     nees_w, nees_v = normalised_errors(estimate, result)
@@ -164,12 +169,14 @@ def _row(index: int, window: Window, estimate: Estimate, truth: Truth, seconds: 
         true_px=flow.truth_px if flow else None,
         w_rms_deg_s=_known(w_rms),
         v_error_deg=_known(result.direction_error_deg),
-        seconds=seconds,
+        seconds=seconds[0],
+        cpu_seconds=seconds[1],
+        nees_w=_known(nees_w),
+        nees_v=_known(nees_v),
         events=result.quality.events,
         iterations=result.quality.iterations,
         stop_reason=result.quality.stop_reason,
-        nees_w=_known(nees_w),
-        nees_v=_known(nees_v),
+        contrast_gain=_known(result.quality.contrast_gain),
     )
 
 

@@ -28,7 +28,8 @@ def row(index: int, epe: float | None, **values) -> Row:
     figures = {
         "status": "ok", "model": "full", "static_epe_px": None, "out_percent": 0.0,
         "ae_deg": 1.0, "true_px": 6.0, "w_rms_deg_s": 3.0, "v_error_deg": 10.0,
-        "seconds": 0.02, "events": 30_000, "iterations": 4, "stop_reason": "iterations",
+        "seconds": 0.02, "cpu_seconds": 0.015, "nees_w": 1.0, "nees_v": None,
+        "contrast_gain": 1.4, "events": 30_000, "iterations": 4, "stop_reason": "iterations",
     }  # fmt: skip
     return Row(index=index, epe_px=epe, **(figures | values))
 
@@ -47,7 +48,7 @@ def test_figures_are_averaged_as_the_heads_say():
     )
     text = table([Cell("realtime", "calm", 0, rows, {}, WHERE)])
     line = numbers(text, "calm", "realtime")
-    assert line == ["2 of 3", "0.75", "0.25", "0.00", "1.00", "3.54", "86.00", "0.02"]
+    assert line == ["2 of 3", "0.75", "0.25", "0.00", "1.00", "3.54", "86.00", "0.02", "0.015"]
     assert "One thread; abacus, 1 cores, 0 GiB. Python 3.12." in text
 
 
@@ -105,6 +106,7 @@ def test_a_run_goes_on_where_it_was_cut(command, tmp_path, capsys):
     assert kept["configuration"]["estimator.optimizer.iterations"] == 12
     (paper,) = kept["rows"]
     assert (paper["index"], paper["iterations"], paper["events"]) == (1, 12, 2000)
+    assert paper["cpu_seconds"] > 0
     assert 0 < paper["static_epe_px"] != paper["epe_px"]
     streamed = json.loads((tmp_path / "realtime-mover-seed3.json").read_text())["rows"]
     assert [r["index"] for r in streamed] == [0, 1]

@@ -160,7 +160,7 @@ class ImplicitConfig:
     )
     min_events: int = option(1000, "with fewer events in a window nothing is estimated", minimum=1)
     min_contrast_gain: float = option(
-        1.0, "with less contrast gain the window counts as one without motion", minimum=0.0
+        1.08, "with less contrast gain the window counts as one without motion", minimum=0.0
     )
     seed: int = option(0, "seed of weights, events and reference times", minimum=0)
     device: str = option("cpu", "where the fit runs", choices=("cpu", "cuda"))
