@@ -106,7 +106,8 @@ class LabelWriter:
         """Add one window; `note` is the exception, if the estimator raised one."""
         ok = estimate.status is Status.OK
         quality = estimate.quality
-        seen = event_mask(window.events, self._camera.width, self._camera.height)
+        events = window.since(estimate.t_start).events  # an estimate may be of its latest part
+        seen = event_mask(events, self._camera.width, self._camera.height)
         more = {
             "valid": seen if ok else np.zeros_like(seen),
             "iterations": quality.iterations,

@@ -27,6 +27,7 @@ class Remembering:
 
     raise_at = None
     interrupt_after = None
+    late = 0
     seen = ()
 
     def __init__(self):
@@ -40,7 +41,7 @@ class Remembering:
             raise ValueError("singular matrix")
         self.memory = 0.5 * self.memory + float(window.events.x.sum())
         return Estimate(
-            window.t_start,
+            window.t_start + self.late,
             window.t_end,
             (window.t_start + window.t_end) // 2,
             Status.OK,
@@ -120,6 +121,18 @@ def pixels(folder):
     """Row and column of every event."""
     table = np.loadtxt(folder / "events.txt")
     return [(int(y), int(x)) for _, x, y, _ in table]
+
+
+def test_estimate_of_a_window_s_latest_part(monkeypatch, tmp_path, ecd):
+    """It is valid where that part has events, and stays in its chunk."""
+    monkeypatch.setattr(Remembering, "late", 30 * MS)
+    assert call(monkeypatch, tmp_path / "out", ecd("spin")) == 0
+    path = tmp_path / "out" / "spin.h5"
+    assert rows(path, "t_start_ns") == [[SECOND + (k * 50 + 30) * MS for k in range(19)]]
+    with h5py.File(path) as file:
+        for k in (0, 4):
+            latest = pixels(tmp_path / "spin")[50 * k + 30 : 50 * k + 50]
+            assert {tuple(map(int, p)) for p in np.argwhere(file["valid"][k])} == set(latest)
 
 
 def test_margin_is_estimated_and_not_written(monkeypatch, tmp_path, ecd):
