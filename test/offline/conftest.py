@@ -15,7 +15,7 @@ from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.writer import OutputPaths, write_recording
 
-sys.path.insert(0, str(Path(__file__).parent))  # synthetic.py
+sys.path.insert(0, str(Path(__file__).parent))  # known.py, synthetic.py
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 _DEFINITIONS = {

@@ -1,14 +1,14 @@
-"""Recordings in MVSEC's and DSEC's formats through every protocol, against plain loops."""
+"""Recordings in MVSEC's formats through its protocols, against plain loops."""
 
 import json
 import math
 
 import numpy as np
 import pytest
+from known import ANGULAR, LINEAR, START, Known, KnownMotion, errors_of, velocity
 from synthetic import (
     Plane,
     flow_maps,
-    write_dsec,
     write_flow_npz,
     write_mvsec_bags,
     write_mvsec_hdf5,
@@ -16,7 +16,6 @@ from synthetic import (
 )
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.offline.arguments import Source
@@ -27,69 +26,9 @@ from emoflow_ros.offline.sequences import SEQUENCES, Sequence
 from emoflow_ros.offline.summary import summarise, summarise_by_truth
 from emoflow_ros.offline.truth import load_truth
 
-START = 100 * NS_PER_S
 FRAMES = [START + (20 + 50 * k) * NS_PER_MS for k in range(10)]
 STAMPS = [START + (7 + 50 * k) * NS_PER_MS for k in range(11)]
 ROWS, FIRST, LAST, CLIP = 193, 1, 3, 3000
-ANGULAR, LINEAR = np.array([0.05, -0.2, 0.3]), np.array([0.25, 0.1, -0.15])
-
-
-def velocity(t: float, x, y):
-    """What the estimator says: flow in px/s at a pixel, t in s from START."""
-    return 30 + 0.05 * x - 0.02 * y, -40 + 0.1 * y + 25 * t
-
-
-class KnownFlow:
-    """The flow of the middle of an interval, held over it."""
-
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
-
-    def displacement(self, t0: int, t1: int) -> np.ndarray:
-        camera = self._camera
-        grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), -1)
-        points = grid.reshape(-1, 2).astype(float)
-        return (self.tracks(points, (t0, t1))[1] - points).reshape(grid.shape)
-
-    def tracks(self, points: np.ndarray, times) -> np.ndarray:
-        (t0, t1), (x, y) = times, points.T
-        u, v = velocity((0.5 * (t0 + t1) - START) / NS_PER_S, x, y)
-        return np.stack([points, points + np.stack([u, v], -1) * (t1 - t0) / NS_PER_S])
-
-
-class KnownMotion:
-    def angular(self, t: int) -> np.ndarray:
-        """The true rate and an error that grows with time, by axis."""
-        return ANGULAR + np.array([0.1, -0.05, 0.2]) * (t - START) / NS_PER_S
-
-    def linear(self, t: int) -> np.ndarray:
-        return LINEAR / np.linalg.norm(LINEAR)
-
-
-class Known:
-    """An estimator that always says the same, whatever the events are."""
-
-    def __init__(self, camera: Camera, config=None) -> None:
-        self._camera = camera
-
-    def estimate(self, window) -> Estimate:
-        t = (window.t_start + window.t_end) // 2
-        motion = KnownMotion()
-        return Estimate(
-            window.t_start,
-            window.t_end,
-            t,
-            Status.OK,
-            Quality(events=len(window.events)),
-            MotionModel.FULL,
-            linear=motion.linear(t),
-            angular=motion.angular(t),
-            flow=KnownFlow(self._camera),
-            motion=motion,
-        )
-
-    def reset(self) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +65,6 @@ def run_mvsec(mvsec, world, form: str, protocol: str, policy: str, *more):
         known = load_truth(recording, files)
         plan = make_plan(protocol, recording, known, WindowPolicy(), chosen, clips=policy)
         return plan, evaluate(recording, Known(world.camera), plan.slicer, plan.truth)
-
-
-def errors_of(ours, true):
-    """EPE and space-time angle of one pixel."""
-    (u, v), (tu, tv) = ours, true
-    dot = (u * tu + v * tv + 1) / math.sqrt((u * u + v * v + 1) * (tu * tu + tv * tv + 1))
-    return math.hypot(u - tu, v - tv), math.degrees(math.acos(min(1.0, dot)))
 
 
 def carried(flow, x, y, t0, t1):
@@ -264,80 +196,3 @@ def test_mvsec_files_to_report(monkeypatch, tmp_path, mvsec):
     summary = {key: entry["value"] for key, entry in report["summary"].items()}
     assert summary["epe_px"] < 0.3 * summary["true_displacement_px"]
     assert summary["angular_rms_deg_s"] < 5
-
-
-RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)
-DSEC = [
-    (START + a * 1000, START + b * 1000)
-    for a, b in ((30_523, 130_524), (130_524, 230_511), (260_000, 360_020))
-]
-
-
-@pytest.fixture(scope="module")
-def dsec(tmp_path_factory):
-    world = Plane(RECTIFIED, START, START + 400 * NS_PER_MS, ANGULAR, 2 * LINEAR, dots=1500)
-    folder = tmp_path_factory.mktemp("dsec") / "zurich_city_02_a"
-    return write_dsec(folder, world, DSEC, (134, 136, 140))
-
-
-def test_dsec_events_in_the_rectified_view(dsec):
-    expected = []
-    columns = dsec.raw.x.tolist(), dsec.raw.y.tolist(), dsec.raw.t.tolist(), dsec.raw.p.tolist()
-    for x, y, t, p in zip(*columns, strict=True):
-        u, v = dsec.rectify_map[y, x]
-        u, v = round(float(u)), round(float(v))
-        if 0 <= u < 640 and 0 <= v < 480:
-            expected.append((u, v, t, p))
-    with Source(dsec.path).open() as recording:
-        assert recording.camera == RECTIFIED
-        read = Events.concatenate(list(recording.event_chunks()))
-    assert 0 < len(dsec.raw) - len(expected) < 0.2 * len(dsec.raw)
-    np.testing.assert_array_equal(np.column_stack([read.x, read.y, read.t, read.p]), expected)
-
-
-def test_dsec_events_without_rectification(dsec):
-    with Source(dsec.path / "events" / "left" / "events.h5").open() as recording:
-        assert recording.camera is None
-        read = Events.concatenate(list(recording.event_chunks()))
-    np.testing.assert_array_equal(read.x, dsec.raw.x)
-    np.testing.assert_array_equal(read.t, dsec.raw.t)
-
-
-def slow_dsec(dsec):
-    """(EPE, %Out, AE, pixels) per interval, one pixel with truth at a time."""
-    rows = []
-    for (t0, t1), flow, valid in zip(dsec.intervals, dsec.flow, dsec.valid, strict=True):
-        epe, angle = [], []
-        seconds, middle = (t1 - t0) / NS_PER_S, ((t0 + t1) / 2 - START) / NS_PER_S
-        for y in range(480):
-            for x in range(640):
-                if valid[y, x]:
-                    u, v = velocity(middle, x, y)
-                    e, a = errors_of((u * seconds, v * seconds), flow[y, x].tolist())
-                    epe.append(e)
-                    angle.append(a)
-        count = len(epe)
-        out = 100 * sum(e > 3 for e in epe) / count
-        rows.append((sum(epe) / count, out, sum(angle) / count, count))
-    return rows
-
-
-@pytest.mark.parametrize("policy", ["causal", "paper"])
-def test_dsec_flow(dsec, monkeypatch, policy):
-    """All pixels with truth count, wherever events are; lead-in windows count for nothing."""
-    monkeypatch.setattr("emoflow_ros.offline.protocols.DSEC_CLIP", 2000)
-    with Source(dsec.path).open() as recording:
-        plan = make_plan("dsec", recording, load_truth(recording), WindowPolicy(), clips=policy)
-        run = evaluate(recording, Known(RECTIFIED), plan.slicer, plan.truth)
-    compared = [w for w in run.windows if w.flow]
-    assert [(w.t_start, w.t_end) for w in compared] == DSEC
-    for window, (epe, out, angle, count) in zip(compared, slow_dsec(dsec), strict=True):
-        assert window.flow.pixels == count
-        assert window.flow.epe_px == pytest.approx(epe, rel=1e-6)
-        assert window.flow.pe3 == pytest.approx(out, abs=0.01)
-        assert window.flow.ae_deg == pytest.approx(angle, rel=1e-4)
-    assert f"dsec: 3 intervals of the flow truth; policy {policy}" in plan.description
-    if policy == "paper":
-        assert [w.events for w in compared] == [2000] * 3
-    else:
-        assert len(run.windows) > 3  # windows to warm up on before the first interval
