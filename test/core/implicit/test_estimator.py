@@ -202,8 +202,7 @@ def test_events_beyond_the_sensor_do_not_count(camera: Camera, window: Window) -
 
 def test_a_window_without_gain_is_one_without_motion(camera: Camera) -> None:
     still = moving_dots(camera, np.zeros(2))
-    config = dataclasses.replace(CONFIG, min_contrast_gain=1.2)
-    estimate = ImplicitEstimator(camera, config).estimate(still)
+    estimate = ImplicitEstimator(camera, CONFIG).estimate(still)
     assert estimate.status is Status.NO_MOTION
     assert estimate.quality.stop_reason == "no_motion"
     assert estimate.flow is None
