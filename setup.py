@@ -18,7 +18,11 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
-        (f"share/{PACKAGE}/config", sorted(glob("config/*"))),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
+        *(
+            (f"share/{PACKAGE}/config/{folder}", sorted(glob(f"config/{folder}/*")))
+            for folder in ("calibration", "layouts", "sensors")
+        ),
     ],
     extras_require={"test": ["pytest"], "ray": ["ray"]},
     entry_points={

@@ -1,5 +1,9 @@
-"""Start the estimator: `ros2 launch emoflow_ros estimator.launch.py events:=/cam/events`."""
+"""Start the estimator: `ros2 launch emoflow_ros estimator.launch.py events:=/cam/events`.
 
+Others include it once per camera, each with a namespace of its own.
+"""
+
+from pathlib import Path
 from typing import Any
 
 ARGUMENTS = {
@@ -7,16 +11,25 @@ ARGUMENTS = {
     "camera_info": ("camera_info", "calibration topic; default: the one beside the events"),
     "calibration_file": ("", "camera_info YAML or ECD calib.txt instead of the topic"),
     "profile": ("realtime", "configuration: the name of a file in config/"),
-    "params_file": ("", "YAML file of ROS parameters, counts before all other arguments"),
+    "params_file": (
+        "",
+        "YAML file of ROS parameters, or the name of one in config/sensors (mvsec, dsec, davis240, "
+        "evk4); counts before profile and twist_rate",
+    ),
     "twist_rate": ("0.0", "twists per second, sampled inside the windows; 0: one per window"),
     "speed": ("", "speed of the camera in m/s, if it is known; empty: directions without a scale"),
+    "frame": ("", "optical frame of the camera; empty: that of the event messages"),
     "use_sim_time": ("false", "take time from /clock"),
     "namespace": ("", "namespace of the node and its topics"),
+    "rviz": ("false", "show flow, sharpened events, tracks and twist in RViz"),
 }
+VIEWED = ("egomotion/twist", "flow/color", "flow/iwe", "flow/tracks")
+
+_CONFIG = Path(__file__).resolve().parent.parent / "config"
 
 
 def generate_launch_description() -> Any:
-    """Describe one estimator."""
+    """Describe one estimator, and RViz beside it if that is wanted."""
     # Not at the top: a machine without the launch packages can still import this file.
     from launch import LaunchDescription
     from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -33,29 +46,52 @@ def _start(context: Any) -> list[Any]:
     from launch_ros.actions import Node
 
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    parameters: list[Any] = [
-        {
-            "use_sim_time": value["use_sim_time"].lower() == "true",
-            "profile": value["profile"],
-            "camera.calibration_file": value["calibration_file"],
-            "output.twist_rate": float(value["twist_rate"]),
-        }
+    nodes = [
+        Node(
+            package="emoflow_ros",
+            executable="estimator",
+            namespace=value["namespace"],
+            parameters=_parameters(value),
+            remappings=[
+                (name, value[name])
+                for name in ("events", "camera_info")
+                if value[name] != ARGUMENTS[name][0]
+            ],
+            output="screen",
+        )
     ]
+    if value["rviz"].lower() == "true":
+        frame = ["-f", value["frame"]] if value["frame"] else []
+        nodes.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                namespace=value["namespace"],
+                arguments=["-d", str(_CONFIG / "layouts" / "emoflow.rviz"), *frame],
+                parameters=[{"use_sim_time": value["use_sim_time"].lower() == "true"}],
+                remappings=[(f"/{topic}", topic) for topic in VIEWED],
+            )
+        )
+    return nodes
+
+
+def _parameters(value: dict[str, str]) -> list[Any]:
+    """List the sources of parameters: later ones count before earlier ones."""
+    arguments: dict[str, Any] = {
+        "use_sim_time": value["use_sim_time"].lower() == "true",
+        "profile": value["profile"],
+        "output.twist_rate": float(value["twist_rate"]),
+    }
     if value["speed"]:
-        parameters[0] |= {"scale.source": "parameter", "scale.speed": float(value["speed"])}
+        arguments |= {"scale.source": "parameter", "scale.speed": float(value["speed"])}
+    sources: list[Any] = [arguments]
     if value["params_file"]:
-        parameters.append(value["params_file"])
-    changed = [
-        (name, value[name])
-        for name in ("events", "camera_info")
-        if value[name] != ARGUMENTS[name][0]
-    ]
-    node = Node(
-        package="emoflow_ros",
-        executable="estimator",
-        namespace=value["namespace"],
-        parameters=parameters,
-        remappings=changed,
-        output="screen",
-    )
-    return [node]
+        sensor = _CONFIG / "sensors" / f"{value['params_file']}.yaml"
+        sources.append(str(sensor) if sensor.is_file() else value["params_file"])
+    camera = {
+        "camera.calibration_file": value["calibration_file"],
+        "camera.frame_id": value["frame"],
+    }
+    if any(camera.values()):
+        sources.append({name: given for name, given in camera.items() if given})
+    return sources

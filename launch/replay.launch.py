@@ -1,4 +1,7 @@
-"""Replay a bag through the estimator: `ros2 launch emoflow_ros replay.launch.py bag:=FILE`."""
+"""Replay a bag through the estimator: `ros2 launch emoflow_ros replay.launch.py bag:=FILE`.
+
+Takes the arguments of estimator.launch.py, too; with `use_sim_time:=true` the bag is the clock.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -7,29 +10,46 @@ ARGUMENTS = {
     "bag": (None, "ROS 1 .bag, rosbag2 folder, .mcap or .db3 file"),
     "rate": ("1.0", "pace: 2.0 is twice as fast"),
     "wait": ("60", "seconds to wait for the estimator, which needs a while to warm up"),
+    "record": ("", "folder of a new bag of what the estimator says; empty: none"),
 }
+RECORDED = ("egomotion/twist", "egomotion/twist_with_covariance", "egomotion/status")
 
 
 def generate_launch_description() -> Any:
-    """Describe a replay and an estimator, which takes the arguments of its own launch file."""
+    """Describe a replay, an estimator and a recorder of its answers."""
     # Not at the top: a machine without the launch packages can still import this file.
     from launch import LaunchDescription
-    from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+    from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
     from launch.launch_description_sources import PythonLaunchDescriptionSource
-    from launch.substitutions import LaunchConfiguration
-    from launch_ros.actions import Node
 
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in ARGUMENTS.items()
     ]
     estimator = Path(__file__).with_name("estimator.launch.py")
-    bag, rate, wait = (LaunchConfiguration(name) for name in ARGUMENTS)
-    replay = Node(
-        package="emoflow_ros",
-        executable="replay",
-        arguments=[bag, "--rate", rate, "--wait", wait],
-        output="screen",
-    )
     include = IncludeLaunchDescription(PythonLaunchDescriptionSource(str(estimator)))
-    return LaunchDescription([*declared, include, replay])
+    return LaunchDescription([*declared, include, OpaqueFunction(function=_start)])
+
+
+def _start(context: Any) -> list[Any]:
+    from launch.actions import ExecuteProcess
+    from launch.substitutions import LaunchConfiguration
+    from launch_ros.actions import Node
+
+    names = (*ARGUMENTS, "use_sim_time", "namespace")
+    value = {name: LaunchConfiguration(name).perform(context) for name in names}
+    clock = ["--clock"] if value["use_sim_time"].lower() == "true" else []
+    actions = [
+        Node(
+            package="emoflow_ros",
+            executable="replay",
+            arguments=[value["bag"], "--rate", value["rate"], "--wait", value["wait"], *clock],
+            output="screen",
+        )
+    ]
+    if value["record"]:
+        prefix = f"/{value['namespace'].strip('/')}" if value["namespace"].strip("/") else ""
+        topics = [*(f"{prefix}/{topic}" for topic in RECORDED), "/diagnostics"]
+        command = ["ros2", "bag", "record", "--output", value["record"], *topics]
+        actions.append(ExecuteProcess(cmd=command, output="screen"))
+    return actions

@@ -18,6 +18,9 @@ DISTORTION_MODELS = {
     "equidistant": (4,),
 }
 
+# The largest event sensors have 1 to 2 million; maps of more would only fill the memory.
+MAX_PIXELS = 2**24
+
 _NEWTON_STEPS = 30
 _TOLERANCE = 1e-9
 
@@ -36,8 +39,8 @@ class Camera:
         distortion: the model's coefficients.
 
     Raises:
-        InputError: a size or focal length that is not positive, an unknown model, a wrong
-            number of coefficients, or values that are not finite.
+        InputError: a size or focal length that is not positive, more than MAX_PIXELS, an
+            unknown model, a wrong number of coefficients, or values that are not finite.
     """
 
     width: int
@@ -52,6 +55,12 @@ class Camera:
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
             raise InputError("camera", f"size {self.width}x{self.height}", "give a positive size")
+        if self.width * self.height > MAX_PIXELS:
+            raise InputError(
+                "camera",
+                f"size {self.width}x{self.height}",
+                f"give the sensor's: at most {MAX_PIXELS} pixels",
+            )
         if not (self.fx > 0 and self.fy > 0):
             raise InputError(
                 "camera",
@@ -96,6 +105,11 @@ class Camera:
             model = "equidistant"
         fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))
         return cls(int(width), int(height), fx, fy, cx, cy, model, coefficients)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.width, self.height
 
     @property
     def intrinsic_matrix(self) -> NDArray[np.float64]:

@@ -1,11 +1,12 @@
 """The lifecycle node: event messages in, egomotion and optical flow out."""
 
 from collections.abc import Callable
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import CameraInfo
 
@@ -14,6 +15,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
+from emoflow_ros.node.calibration_path import calibration_path
 from emoflow_ros.node.discovery import EventTopic, TopicSearch
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import Callbacks, EventSource
@@ -97,7 +99,7 @@ class EstimatorNode(LifecycleNode):
         """Read the calibration file if there is one, make the publishers, start the worker."""
         options = self._settings.node
         path = options.camera.calibration_file
-        self._camera = load_calibration(Path(path)) if path else None
+        self._camera = load_calibration(calibration_path(path)) if path else None
         self._supervisor = self._make_supervisor(options)
         self._statistics = Statistics()
         self._outputs = Outputs(self, options, self._statistics)
@@ -105,7 +107,9 @@ class EstimatorNode(LifecycleNode):
             DiagnosticArray, "/diagnostics", _DIAGNOSTICS_DEPTH
         )
         self._diagnostics_timer = self.create_timer(
-            options.output.diagnostics_s, self._publish_diagnostics
+            options.output.diagnostics_s,
+            self._publish_diagnostics,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),  # also while simulated time stands still
         )
         if self._camera is not None:
             self._supervisor.configure(self._camera, self._settings.config)
@@ -222,14 +226,17 @@ class EstimatorNode(LifecycleNode):
         if self._input.epoch != self._epoch:
             self._epoch = self._input.epoch
             self._supervisor.queue.clear()
-            self.get_logger().info("event time went back: the estimation starts anew")
+            self.get_logger().info(
+                f"{self._input.jump}: the estimation starts anew",
+                throttle_duration_sec=_THROTTLE_S,
+            )
         if tasks:
             self._supervisor.wishes = self._outputs.wishes
         for task in tasks:
             dropped = self._supervisor.queue.put(task)
             if dropped is not None:
+                self._statistics.add_dropped(dropped)
                 self._outputs.publish_dropped(dropped)
-        self._statistics.counts["windows_dropped"] = self._supervisor.queue.dropped
 
     def _take_camera_info(self, info: CameraInfo) -> None:
         assert self._supervisor is not None
@@ -242,6 +249,8 @@ class EstimatorNode(LifecycleNode):
         self._statistics.clear_problem("camera")
         if camera == self._camera:
             return
+        if self._camera is not None and camera.size != self._camera.size:
+            self._supervisor.queue.clear()  # windows of another sensor
         self._camera = camera
         if self._input is not None:
             self._input.camera = camera
@@ -270,7 +279,7 @@ class EstimatorNode(LifecycleNode):
             self._outputs.publish(result)
 
     def _report(self, loss: Loss) -> None:
-        self._statistics.counts["worker_restarts" if loss.worker else "windows_failed"] += 1
+        self._statistics.add_loss(loss)
         self.get_logger().error(loss.reason, throttle_duration_sec=_THROTTLE_S)
         if loss.task is not None and self._is_current(loss.task):
             self._outputs.publish_failed(loss.task, loss.reason)
@@ -280,7 +289,8 @@ class EstimatorNode(LifecycleNode):
         return self._supervisor is not None and task.epoch == self._epoch
 
     def _publish_diagnostics(self) -> None:
-        report = self._statistics.report(self._settings.node.input.silence_s)
+        worker = None if self._supervisor is None else self._supervisor.pid
+        report = self._statistics.report(self._settings.node.input.silence_s, worker)
         stamp = self.get_clock().now().to_msg()
         name = self.get_fully_qualified_name()
         self._diagnostics.publish(converters.to_diagnostics(name, report, stamp))

@@ -8,6 +8,7 @@ from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import (
     NS_PER_MS,
+    NS_PER_S,
     TimeJumpError,
     Window,
     WindowPolicy,
@@ -19,6 +20,11 @@ from msg_adapters import DecodeError, EventMessage, make_decoder
 
 # A step back in time of less than this is disorder, more is another run of the recording.
 _DISORDER = 100 * NS_PER_MS
+# After a step forward of more than this the stream is another one, too: a seek, or a sensor whose
+# clock has wrapped unseen in the meantime.
+_GAP = 10 * NS_PER_S
+# A million events as EventArray; what is larger can only be wrong.
+_MAX_BYTES = 16 * 2**20
 
 
 class EventInput:
@@ -34,9 +40,8 @@ class EventInput:
         epoch: number of the first run of event time.
 
     Attributes:
-        camera: whose events are expected; None expects any.
-        epoch: number of the run of event time; a jump back, as in a bag that loops, starts the
-            next.
+        epoch: number of the run of event time; a jump, as in a bag that loops, starts the next.
+        jump: what started the epoch, in words.
 
     Raises:
         DecodeError: there is no decoder for the type.
@@ -53,14 +58,28 @@ class EventInput:
         warn: Callable[[str], None],
         epoch: int = 0,
     ) -> None:
-        self.camera: Camera | None = None
+        self._camera: Camera | None = None
         self.epoch = epoch
+        self.jump = ""
+        self._stamp: int | None = None
+        self._last: int | None = None
         self._decoder = make_decoder(ros_type, "cdr")
         self._slicer = WindowSlicer(policy)
         self._frame_id = frame_id
         self._statistics = statistics
         self._warn = warn
         self._clock = ClockMap(timestamps)
+
+    @property
+    def camera(self) -> Camera | None:
+        """Whose events are expected; None expects any."""
+        return self._camera
+
+    @camera.setter
+    def camera(self, camera: Camera | None) -> None:
+        if self._camera and camera and self._camera.size != camera.size:
+            self._slicer.reset()  # no window holds the events of two sensors
+        self._camera = camera
 
     def set_policy(self, policy: WindowPolicy) -> None:
         """Cut the events from now on differently; those of an unfinished window are left out."""
@@ -69,12 +88,12 @@ class EventInput:
 
     def push(self, data: bytes) -> list[Task]:
         """Take one serialised message and return the windows that it completes."""
-        try:
-            message = self._decoder.decode(data)
-        except DecodeError as error:
-            self._statistics.counts["malformed_messages"] += 1
-            self._warn(f"a malformed message is left out: {error}")
+        message = self._decode(data)
+        if message is not None and self._has_jumped(message):
+            message = self._decode(data)  # the sensor's time was counted on from before the jump
+        if message is None:
             return []
+        self._stamp = message.stamp
         events = self._inside(message)
         self._statistics.add_events(len(events))
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
@@ -83,18 +102,52 @@ class EventInput:
         received = time.monotonic()
         windows = self._slice(events)
         self._clock.observe(int(events.t[0]), message.stamp)
+        self._statistics.clock_drift_ppm = self._clock.drift_ppm
         frame_id = self._frame_id or message.frame_id
         return [
             Task(w, self.epoch, self._clock.offset((w.t_start + w.t_end) // 2), frame_id, received)
             for w in windows
         ]
 
+    def _decode(self, data: bytes) -> EventMessage | None:
+        try:
+            if len(data) > _MAX_BYTES:
+                raise DecodeError(f"{len(data)} bytes, more than {_MAX_BYTES}")
+            return self._decoder.decode(data)
+        except DecodeError as error:
+            self._statistics.counts["malformed_messages"] += 1
+            self._warn(f"a malformed message is left out: {error}")
+            return None
+
+    def _has_jumped(self, message: EventMessage) -> bool:
+        """Look for a jump; one back of a sensor whose time wraps shows in the stamps only."""
+        if self._stamp is None:
+            return False
+        step = message.stamp - self._stamp
+        if step > -_DISORDER and self._last is not None and len(message.events):
+            step = max(step, int(message.events.t[0]) - self._last)
+        if -_DISORDER < step < _GAP:
+            return False
+        self._start_epoch(step)
+        return True
+
+    def _start_epoch(self, step: int) -> None:
+        """Forget all that was before a step of time, ns."""
+        self.epoch += 1
+        way = "back" if step < 0 else "forward"
+        self.jump = f"event time went {way} by {abs(step) / NS_PER_S:.3f} s"
+        self._statistics.counts["time_jumps"] += 1
+        self._stamp = self._last = None
+        self._clock.reset()
+        self._decoder.reset()
+        self._slicer.reset()
+
     def _inside(self, message: EventMessage) -> Events:
         """Return the message's events that lie on the sensor."""
         self._statistics.counts["events_outside"] += message.dropped_outside
-        if self.camera is None:
+        if self._camera is None:
             return message.events
-        size = (self.camera.width, self.camera.height)
+        size = self._camera.size
         if message.width and (message.width, message.height) != size:
             self._statistics.counts["wrong_size_messages"] += 1
             self._warn(
@@ -112,16 +165,14 @@ class EventInput:
         if (events.t[1:] < events.t[:-1]).any():
             return self._leave_out("event times within it are out of order")
         try:
-            return self._slicer.push(events)
+            windows = self._slicer.push(events)
         except TimeJumpError as jump:
             if jump.last - jump.now < _DISORDER:
                 return self._leave_out(str(jump))
-        self.epoch += 1
-        self._statistics.counts["time_jumps"] += 1
-        self._clock.reset()
-        self._decoder.reset()
-        self._slicer.reset()
-        return self._slicer.push(events)
+            self._start_epoch(jump.now - jump.last)
+            windows = self._slicer.push(events)
+        self._last = int(events.t[-1])
+        return windows
 
     def _leave_out(self, reason: str) -> list[Window]:
         self._statistics.counts["unordered_messages"] += 1

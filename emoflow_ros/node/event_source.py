@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -115,7 +116,9 @@ class EventSource:
         self._named = others
 
     def _take_events(self, data: bytes) -> None:
-        self._hears_events = True
+        if not self._hears_events:
+            self._hears_events = True
+            self._statistics.clear_problem("qos")
         self._callbacks.events(data)
 
     def _unsubscribe(self) -> None:
@@ -123,7 +126,8 @@ class EventSource:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
         self._topic = None
-        self._statistics.clear_problem("camera")
+        for part in ("camera", "qos"):
+            self._statistics.clear_problem(part)
 
     def _subscribe(self, topic: EventTopic) -> None:
         message_type = import_message_type(topic.type)
@@ -148,10 +152,32 @@ class EventSource:
                 topic.name,
                 self._take_events,
                 _event_qos(self._node, topic),
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=lambda _: self._report_incompatible_qos(topic)
+                ),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,
             )
         )
+
+    def _report_incompatible_qos(self, topic: EventTopic) -> None:
+        asked = _kind(self._subscriptions[-1].qos_profile)
+        publishers = self._node.get_publishers_info_by_topic(topic.name)
+        offered = " and ".join(sorted({_kind(p.qos_profile) for p in publishers}))
+        self._statistics.set_problem(
+            "qos",
+            Level.ERROR,
+            f"{topic.name}: no event arrives: a publisher offers {offered}, but {asked} is asked "
+            f"for; change qos_overrides.{topic.name}.subscription.* or the publisher",
+        )
+        self._node.get_logger().error(
+            self._statistics.problems["qos"][1], throttle_duration_sec=_THROTTLE_S
+        )
+
+
+def _kind(profile: QoSProfile) -> str:
+    """Name what decides whether a subscription gets what a publisher sends."""
+    return f"{profile.reliability.name.lower()} {profile.durability.name.lower()}"
 
 
 def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:

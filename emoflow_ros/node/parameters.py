@@ -60,7 +60,9 @@ class CameraOptions:
     """Which camera the events come from."""
 
     calibration_file: str = option(
-        "", "camera_info YAML or ECD calib.txt; empty listens to the topic `camera_info`"
+        "",
+        "camera_info YAML or ECD calib.txt, as a path, file:// or package:// URL; empty listens to "
+        "the topic `camera_info`",
     )
     frame_id: str = option(
         "", "optical frame of the camera; empty takes the frame of the event messages"

@@ -1,5 +1,6 @@
 """What the node counts, and the verdict that its diagnostics give."""
 
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -9,18 +10,22 @@ from enum import IntEnum
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.node.tasks import Result
+from emoflow_ros.node.memory import resident_mb
+from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200
 _WARNINGS = {
-    "worker_restarts": "worker restarts: see the log for the reason",
-    "windows_failed": "windows failed: see the log for the reason",
-    "windows_dropped": "windows dropped: the estimation is slower than the events",
+    "worker_restarts": "worker restarts: {loss}",
+    "windows_failed": "windows failed: {loss}",
+    "windows_diverged": "windows diverged: check the calibration, or give longer windows",
+    "windows_dropped": "windows dropped: the estimation is slower than the events; "
+    "give longer windows, or fewer estimator.max_events",
     "malformed_messages": "malformed messages: check the driver's message version",
     "unordered_messages": "messages with event times out of order: check the driver",
     "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
-    "time_jumps": "jumps back in event time: the estimation starts anew",
+    "time_jumps": "jumps in event time: the estimation starts anew",
 }
+_ALSO_COUNTED = ("messages", "events", "events_dropped", "events_outside", "seq_gaps")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)
 
@@ -49,14 +54,22 @@ class Statistics:
 
     Args:
         clock: monotonic time in s.
+
+    Attributes:
+        counts: by name; all of them are there from the start.
+        clock_drift_ppm: how much faster ROS time runs than the sensor's clock.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter(
+            dict.fromkeys((*_ALSO_COUNTED, *_STATUSES, *_WARNINGS), 0)
+        )
+        self.clock_drift_ppm = 0.0
         self.problems: dict[str, tuple[Level, str]] = {}
         self._clock = clock
         self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)
         self._last_result: Result | None = None
+        self._last_loss = ""
         self._last_event = clock()
         self._reported = (clock(), Counter[str]())
 
@@ -73,6 +86,17 @@ class Statistics:
         self._latencies.append(self._clock() - result.task.received)
         self._last_result = result
 
+    def add_dropped(self, task: Task) -> None:
+        """Count a window that had to make room for newer ones, and its events."""
+        self.counts["windows_dropped"] += 1
+        self.counts["events_dropped"] += len(task.window.events)
+
+    def add_loss(self, loss: Loss) -> None:
+        """Count a window or a worker that was lost, or both."""
+        self.counts["worker_restarts"] += loss.worker
+        self.counts["windows_failed"] += loss.task is not None
+        self._last_loss = loss.reason
+
     def set_problem(self, part: str, level: Level, message: str) -> None:
         """State what is wrong with a part of the node, until it is cleared."""
         self.problems[part] = (level, message)
@@ -81,11 +105,12 @@ class Statistics:
         """State that a part of the node works."""
         self.problems.pop(part, None)
 
-    def report(self, silence_s: float) -> Report:
+    def report(self, silence_s: float, worker: int | None = None) -> Report:
         """Judge the time since the last report.
 
         Args:
             silence_s: without events for this long the report warns.
+            worker: the worker's process id, if there is one.
         """
         now = self._clock()
         before, counts = self._reported[0], self._reported[1]
@@ -98,6 +123,9 @@ class Statistics:
             "events_per_s": f"{(current['events'] - counts['events']) / elapsed:.0f}",
             "windows_per_s": f"{done / elapsed:.2f}",
             **self._quality(),
+            "clock_drift_ppm": f"{self.clock_drift_ppm:.1f}",
+            "memory_mb": f"{resident_mb(os.getpid()):.0f}",
+            "worker_memory_mb": f"{resident_mb(worker) if worker else 0.0:.0f}",
             **{name: str(current[name]) for name in sorted(current)},
         }
         return Report(level, message, values)
@@ -110,7 +138,7 @@ class Statistics:
             return Level.WARN, f"no events for {silent:.1f} s: check the driver or the bag"
         for name, reason in _WARNINGS.items():
             if recent[name]:
-                return Level.WARN, f"{recent[name]} {reason}"
+                return Level.WARN, f"{recent[name]} {reason.format(loss=self._last_loss)}"
         return Level.OK, "running"
 
     def _quality(self) -> dict[str, str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import TwistStamped
 from harness import MS, WAIT_S, Peer, Processes, wait_for
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -40,26 +41,71 @@ def bags(recording: SimulatedRecording, tmp_path_factory: pytest.TempPathFactory
     return folder
 
 
+def stamp(twist: TwistStamped) -> int:
+    return int(twist.header.stamp.sec * 10**9 + twist.header.stamp.nanosec)
+
+
 def counts_per_window(events: Events, duration: int) -> list[int]:
     """Events in each window of `duration` ns that another event follows."""
     edges = np.arange(events.t[0], events.t[-1] + 1, duration)
     return np.diff(np.searchsorted(events.t, edges)).tolist()
 
 
-@pytest.mark.parametrize("name", ["ros1.bag", "ros2"])
+@pytest.mark.parametrize(
+    ("name", "rate"), [("ros1.bag", "1"), ("ros2", "1"), ("ros1.bag", "5"), ("ros2", "0.1")]
+)
 def test_replayed_events_arrive_at_the_estimator_complete(
-    peer: Peer, processes: Processes, recording: SimulatedRecording, bags: Path, name: str
+    peer: Peer,
+    processes: Processes,
+    recording: SimulatedRecording,
+    bags: Path,
+    name: str,
+    rate: str,
 ) -> None:
     peer.node.destroy_publisher(peer.events)
     node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
     peer.hear()
-    replay = processes.start(*REPLAY, str(bags / name), "--wait")
+    replay = processes.start(*REPLAY, str(bags / name), "--rate", rate, "--wait")
     expected = counts_per_window(recording.events, 10 * MS)
     peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
     assert [int(t.twist.angular.x) for t in peer.twists] == expected
     assert {t.twist.angular.z for t in peer.twists} == {346.0}  # the bag's camera_info
     assert replay.wait(10.0) == 0
     assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in processes.output(node)
+
+
+def test_every_round_of_a_looped_bag_is_an_epoch(
+    peer: Peer, processes: Processes, recording: SimulatedRecording, bags: Path
+) -> None:
+    peer.node.destroy_publisher(peer.events)
+    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
+    peer.hear()
+    processes.start(*REPLAY, str(bags / "ros2"), "--loop", "--wait")
+    peer.spin_until(lambda: int(peer.status().get("time_jumps", "0")) >= 2, "three rounds")
+    stamps = np.array([stamp(twist) for twist in peer.twists])
+    rounds = np.split(stamps, np.flatnonzero(np.diff(stamps) < 0) + 1)
+    assert len(rounds) >= 2
+    starts = recording.events.t[0] + 5 * MS
+    assert {int(r[0]) for r in rounds} == {int(starts)}  # cut alike, from the first event on
+    assert all((np.diff(r) == 10 * MS).all() for r in rounds)
+    assert "event time went back by 0." in processes.output(node)
+
+
+def test_paused_replay_warns_and_goes_on_without_a_jump(
+    peer: Peer, processes: Processes, recording: SimulatedRecording, bags: Path
+) -> None:
+    peer.node.destroy_publisher(peer.events)
+    patience = ("-p", "input.silence_s:=1.0", "-p", "input.queue_windows:=50")
+    processes.start_fake("Recorder", *patience)
+    peer.hear()
+    replay = processes.start(*REPLAY, str(bags / "ros2"), "--rate", "0.1", "--wait")
+    peer.spin_until(lambda: len(peer.twists) >= 3, "some twists")
+    replay.send_signal(signal.SIGSTOP)
+    peer.spin_until(lambda: "no events for" in peer.status()["message"], "the warning")
+    replay.send_signal(signal.SIGCONT)
+    expected = counts_per_window(recording.events, 10 * MS)
+    peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
+    assert peer.status()["time_jumps"] == "0"
 
 
 def test_clock_and_rate(peer: Peer, processes: Processes, bags: Path) -> None:

@@ -82,10 +82,11 @@ def event_packet(
     seq: int = 0,
     time_base: int = 0,
     big_endian: bool = False,
+    stamp: int = 0,
     frame_id: str = "camera",
 ) -> bytes:
     message = typestore(serialization).types["event_camera_msgs/msg/EventPacket"](
-        header(serialization, frame_id=frame_id),
+        header(serialization, stamp, frame_id),
         height=size[1],
         width=size[0],
         seq=seq,

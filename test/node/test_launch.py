@@ -1,14 +1,18 @@
-"""The launch files' arguments, as parameters of the node."""
+"""The launch files' arguments, as parameters of the node and what is started beside it."""
 
 import runpy
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
 
-FILE = Path(__file__).resolve().parents[2] / "launch" / "estimator.launch.py"
+ROOT = Path(__file__).resolve().parents[2]
+
+type Start = Callable[..., list[Any]]
 
 
 class Argument:
@@ -22,33 +26,135 @@ class Argument:
 
 
 @pytest.fixture
-def parameters(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return what the node is given for these arguments."""
-    for module, name, stand_in in (
-        ("launch.substitutions", "LaunchConfiguration", Argument),
-        ("launch_ros.actions", "Node", SimpleNamespace),
-    ):
+def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], dict[str, Any]]:
+    """Run a launch file without the launch packages."""
+    stand_ins = {
+        "launch": {"LaunchDescription": list},
+        "launch.actions": {
+            "DeclareLaunchArgument": SimpleNamespace,
+            "ExecuteProcess": SimpleNamespace,
+            "IncludeLaunchDescription": lambda source: source,
+            "OpaqueFunction": lambda function: function,
+        },
+        "launch.launch_description_sources": {"PythonLaunchDescriptionSource": Path},
+        "launch.substitutions": {"LaunchConfiguration": Argument},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": SimpleNamespace},
+    }
+    for module, names in stand_ins.items():
         fake: Any = ModuleType(module)
-        setattr(fake, name, stand_in)
-        monkeypatch.setitem(sys.modules, module.partition(".")[0], ModuleType("package"))
+        for name, stand_in in names.items():
+            setattr(fake, name, stand_in)
         monkeypatch.setitem(sys.modules, module, fake)
-    launched = runpy.run_path(str(FILE))
-    defaults = {name: default for name, (default, _) in launched["ARGUMENTS"].items()}
-
-    def given(**arguments: str) -> dict[str, Any]:
-        [node] = launched["_start"](defaults | arguments)
-        first: dict[str, Any] = node.parameters[0]
-        return first
-
-    return given
+    return lambda file: runpy.run_path(str(ROOT / "launch" / file))
 
 
-def test_speed_is_a_scale_only_when_it_is_given(parameters: Any) -> None:
-    assert not {name for name in parameters() if name.startswith("scale.")}
-    with_speed = parameters(speed="2.5")
-    assert (with_speed["scale.source"], with_speed["scale.speed"]) == ("parameter", 2.5)
+@pytest.fixture
+def start(launched: Callable[[str], dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> Start:
+    """Start the estimator with these arguments and return the nodes."""
+    namespace = launched("estimator.launch.py")
+    # DeclareLaunchArgument takes its name by position.
+    defaults = {name: default for name, (default, _) in namespace["ARGUMENTS"].items()}
+    return lambda **arguments: namespace["_start"](defaults | arguments)
 
 
-def test_twist_rate_is_passed_as_a_number(parameters: Any) -> None:
-    assert parameters()["output.twist_rate"] == 0.0
-    assert parameters(twist_rate="200")["output.twist_rate"] == 200.0
+@pytest.fixture
+def replay(launched: Callable[[str], dict[str, Any]]) -> Start:
+    namespace = launched("replay.launch.py")
+    defaults = {name: default for name, (default, _) in namespace["ARGUMENTS"].items()}
+    defaults |= {"use_sim_time": "false", "namespace": "", "bag": "my.bag"}
+    return lambda **arguments: namespace["_start"](defaults | arguments)
+
+
+def test_speed_is_a_scale_only_when_it_is_given(start: Start) -> None:
+    [node] = start()
+    assert not {name for name in node.parameters[0] if name.startswith("scale.")}
+    [node] = start(speed="2.5")
+    given = node.parameters[0]
+    assert (given["scale.source"], given["scale.speed"]) == ("parameter", 2.5)
+
+
+def test_twist_rate_is_passed_as_a_number(start: Start) -> None:
+    assert start()[0].parameters[0]["output.twist_rate"] == 0.0
+    assert start(twist_rate="200")[0].parameters[0]["output.twist_rate"] == 200.0
+
+
+def test_topics_are_remapped_only_when_they_are_given(start: Start) -> None:
+    assert start()[0].remappings == []
+    remapped = start(events="/cam/events", camera_info="/cam/info")[0].remappings
+    assert remapped == [("events", "/cam/events"), ("camera_info", "/cam/info")]
+
+
+def test_simulated_time_and_profile(start: Start) -> None:
+    given = start(use_sim_time="true", profile="rigid")[0].parameters[0]
+    assert (given["use_sim_time"], given["profile"]) == (True, "rigid")
+
+
+def test_camera_counts_before_the_parameter_file_and_that_before_the_rest(start: Start) -> None:
+    [node] = start(params_file="my.yaml", calibration_file="c.yaml", frame="cam")
+    assert node.parameters[1:] == [
+        "my.yaml",
+        {"camera.calibration_file": "c.yaml", "camera.frame_id": "cam"},
+    ]
+
+
+@pytest.mark.parametrize("sensor", ["mvsec", "dsec", "davis240", "evk4"])
+def test_sensors_are_parameter_files_by_name(start: Start, sensor: str) -> None:
+    [node] = start(params_file=sensor)
+    assert node.parameters[1:] == [str(ROOT / "config" / "sensors" / f"{sensor}.yaml")]
+    assert Path(node.parameters[1]).is_file()
+
+
+def test_two_instances_differ_by_their_namespace(start: Start) -> None:
+    left, right = (start(namespace=name)[0] for name in ("left", "right"))
+    assert (left.namespace, right.namespace) == ("left", "right")
+    assert left.executable == right.executable == "estimator"
+
+
+def test_rviz_is_started_with_the_layout_when_it_is_wanted(start: Start) -> None:
+    assert len(start()) == 1
+    _, rviz = start(rviz="true", frame="cam", namespace="left", use_sim_time="true")
+    assert (rviz.package, rviz.executable, rviz.namespace) == ("rviz2", "rviz2", "left")
+    flag, layout, *frame = rviz.arguments
+    assert flag == "-d"
+    assert frame == ["-f", "cam"]
+    assert rviz.parameters == [{"use_sim_time": True}]
+    displays = yaml.safe_load(Path(layout).read_text())["Visualization Manager"]["Displays"]
+    shown = {display["Topic"]["Value"] for display in displays}
+    assert {topic for topic, _ in rviz.remappings} == shown
+    assert all(topic == f"/{relative}" for topic, relative in rviz.remappings)
+
+
+def test_replay_plays_the_bag_and_is_the_clock_where_time_is_simulated(replay: Start) -> None:
+    [node] = replay(rate="0.5")
+    assert node.executable == "replay"
+    assert node.arguments == ["my.bag", "--rate", "0.5", "--wait", "60"]
+    [node] = replay(use_sim_time="true")
+    assert node.arguments[-1] == "--clock"
+
+
+@pytest.mark.parametrize("namespace", ["", "left", "/left"])
+def test_replay_records_what_the_estimator_says(replay: Start, namespace: str) -> None:
+    _, recorder = replay(record="answers", namespace=namespace)
+    prefix = "/left" if namespace else ""
+    assert recorder.cmd == [
+        *("ros2", "bag", "record", "--output", "answers"),
+        f"{prefix}/egomotion/twist",
+        f"{prefix}/egomotion/twist_with_covariance",
+        f"{prefix}/egomotion/status",
+        "/diagnostics",
+    ]
+
+
+def test_replay_includes_the_estimator_of_the_same_folder(
+    launched: Callable[[str], dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    declared: list[str] = []
+    actions: Any = sys.modules["launch.actions"]
+    monkeypatch.setattr(
+        actions, "DeclareLaunchArgument", lambda name, **kwargs: declared.append(name)
+    )
+    monkeypatch.setattr(sys.modules["launch"], "LaunchDescription", lambda parts: parts)
+    description = launched("replay.launch.py")["generate_launch_description"]()
+    assert ROOT / "launch" / "estimator.launch.py" in description
+    assert declared == ["bag", "rate", "wait", "record"]

@@ -1,3 +1,4 @@
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -6,8 +7,14 @@ import pytest
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
+from emoflow_ros.node.memory import resident_mb
 from emoflow_ros.node.statistics import Level, Statistics
-from emoflow_ros.node.tasks import Result, Task
+from emoflow_ros.node.tasks import Loss, Result, Task
+
+
+def some_events(count: int) -> Events:
+    zeros = np.zeros(count, np.uint16)
+    return Events(zeros, zeros, np.arange(count, dtype=np.int64), zeros.astype(bool))
 
 
 class Clock:
@@ -79,11 +86,48 @@ def test_silence_warns_until_events_come(clock: Clock) -> None:
 
 def test_loss_warns_once(clock: Clock) -> None:
     statistics = Statistics(clock)
-    statistics.counts["windows_dropped"] = 3
+    task = Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0)
+    for _ in range(3):
+        statistics.add_dropped(task)
     report = statistics.report(2.0)
     assert report.level is Level.WARN
-    assert report.message == "3 windows dropped: the estimation is slower than the events"
+    assert report.message == (
+        "3 windows dropped: the estimation is slower than the events; "
+        "give longer windows, or fewer estimator.max_events"
+    )
+    assert (report.values["windows_dropped"], report.values["events_dropped"]) == ("3", "12")
     assert statistics.report(2.0).level is Level.OK
+
+
+def test_lost_worker_warns_with_the_reason(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    task = Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0)
+    statistics.add_loss(Loss("the worker died (signal 9)", worker=True))
+    statistics.add_loss(Loss("the worker hung", worker=True, task=task))
+    report = statistics.report(2.0)
+    assert report.level is Level.WARN
+    assert report.message == "2 worker restarts: the worker hung"
+    assert (report.values["worker_restarts"], report.values["windows_failed"]) == ("2", "1")
+
+
+def test_everything_that_is_promised_is_reported_from_the_start(
+    clock: Clock, result: Callable[..., Result]
+) -> None:
+    statistics = Statistics(clock)
+    statistics.add_result(result(clock.now))
+    values = statistics.report(2.0, worker=os.getpid()).values
+    promised = {
+        "events_per_s", "windows_per_s", "latency_p50_ms", "latency_p95_ms", "windows_dropped",
+        "events_dropped", "seq_gaps", "clock_drift_ppm", "iterations", "stop_reason",
+        "worker_restarts", "memory_mb", "worker_memory_mb", "malformed_messages", "time_jumps",
+    }  # fmt: skip
+    assert promised <= set(values)
+    assert float(values["memory_mb"]) == pytest.approx(float(values["worker_memory_mb"]), abs=2)
+    assert float(values["memory_mb"]) > 10
+
+
+def test_memory_of_a_process_that_is_gone_is_zero() -> None:
+    assert resident_mb(2**22 + 1) == 0.0
 
 
 def test_worst_problem_is_reported_until_cleared(clock: Clock) -> None:

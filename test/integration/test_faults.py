@@ -1,0 +1,193 @@
+"""Faults around the node, injected over DDS: topics, devices, clocks, subscribers, neighbours."""
+
+import signal
+import sys
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TwistStamped
+from harness import CAMERA, MS, WAIT_S, Peer, Processes
+from sensor_msgs.msg import CameraInfo
+
+from emoflow_ros.core.camera import Camera
+
+pytestmark = pytest.mark.dds
+
+SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
+SUBSCRIBER = """
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from sensor_msgs.msg import Image
+rclpy.init()
+node = rclpy.create_node("stuck")
+node.create_subscription(TwistStamped, "/egomotion/twist", print, 10)
+node.create_subscription(Image, "/flow/image", lambda image: None, 10)
+rclpy.spin(node)
+"""
+
+
+def run_windows(
+    peer: Peer, first_ms: int, last_ms: int, *, camera: Camera = CAMERA, pause_s: float = 0.0
+) -> None:
+    """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
+    for t in range(first_ms, last_ms, 5):
+        peer.publish_events(t * MS, camera=camera)
+        peer.spin_for(pause_s)
+
+
+def test_simulated_time_may_stand_still(peer: Peer, processes: Processes) -> None:
+    """As before a replay: the node finds the topic, estimates and reports without a /clock."""
+    processes.start_fake("Recorder", "-p", "use_sim_time:=true")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 0, 31)
+    peer.spin_until(lambda: len(peer.twists) == 3, "three twists")
+    assert [t.header.stamp.nanosec // MS for t in peer.twists] == [5, 15, 25]
+    peer.spin_until(lambda: peer.status().get("windows_ok") == "3", "the count")
+    assert peer.diagnostics[-1].header.stamp.sec == 0
+
+
+def test_incompatible_qos_is_said_with_both_sides(peer: Peer, processes: Processes) -> None:
+    override = "qos_overrides./cam/events.subscription.reliability:=reliable"
+    node = processes.start_fake("Recorder", "-p", override)
+    peer.hear()
+    said = (
+        "/cam/events: no event arrives: a publisher offers best_effort volatile, but "
+        "reliable volatile is asked for; change qos_overrides./cam/events.subscription.*"
+    )
+    peer.spin_until(lambda: said in processes.output(node), "the reason")
+    assert peer.events.get_subscription_count() == 0
+    [subscription] = peer.node.get_subscriptions_info_by_topic("/cam/events")
+    assert subscription.qos_profile.reliability.name == "RELIABLE"  # the override is honoured
+
+
+def test_subscriber_that_never_reads_holds_up_nobody(peer: Peer, processes: Processes) -> None:
+    stuck = processes.start(sys.executable, "-c", SUBSCRIBER)
+    processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a twist")
+    peer.spin_until(lambda: peer.node.count_subscribers("/flow/image") == 1, "the subscriber")
+    stuck.send_signal(signal.SIGSTOP)
+    try:
+        run_windows(peer, 1015, 2021, pause_s=0.01)
+        peer.spin_until(lambda: len(peer.twists) == 102, "all twists")
+        peer.spin_until(lambda: peer.status()["windows_ok"] == "102", "the count")
+        assert peer.status()["windows_dropped"] == "0"
+        assert float(peer.status()["latency_p95_ms"]) < 1000
+    finally:
+        stuck.send_signal(signal.SIGCONT)
+
+
+def test_camera_info_that_comes_late_finds_the_windows_waiting(
+    peer: Peer, processes: Processes
+) -> None:
+    processes.start_fake("Recorder")
+    peer.connect()
+    run_windows(peer, 1000, 1031)
+    peer.spin_until(lambda: peer.status().get("events") == "35", "the events arrived")
+    assert (
+        "no calibration yet: publish /cam/camera_info or give a file" in (peer.status()["message"])
+    )
+    peer.publish_camera()
+    peer.spin_until(lambda: len(peer.twists) == 3, "the windows that waited")
+    peer.spin_until(lambda: "calibration" not in peer.status()["message"], "the end of the problem")
+
+
+def test_camera_info_of_another_sensor_starts_windows_anew(
+    peer: Peer, processes: Processes
+) -> None:
+    node = processes.start_fake("Recorder")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a window")
+    peer.publish_camera(SMALL)
+    peer.spin_until(lambda: "calibration: 32x24" in processes.output(node), "the new one")
+    run_windows(peer, 1015, 1036, camera=SMALL)
+    peer.spin_until(lambda: len(peer.twists) == 3, "two windows more")
+    assert [t.twist.angular.z for t in peer.twists] == [64, 32, 32]
+    assert {t.twist.angular.x for t in peer.twists} == {10}  # no window holds events of both
+    assert processes.output(node).count("calibration: ") == 2
+
+
+@pytest.mark.parametrize(
+    ("size", "reason"), [((0, 0), "size 0x0"), ((60_000, 60_000), "size 60000x60000")]
+)
+def test_camera_info_of_an_impossible_size_is_refused(
+    peer: Peer, processes: Processes, size: tuple[int, int], reason: str
+) -> None:
+    processes.start_fake("Recorder")
+    peer.connect()
+    k = [50.0, 0.0, 32.0, 0.0, 50.0, 24.0, 0.0, 0.0, 1.0]
+    peer.publish_camera_info(CameraInfo(width=size[0], height=size[1], k=k))
+    peer.spin_until(lambda: reason in peer.status()["message"], "the diagnosis")
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a window with the good one")
+
+
+def test_malformed_messages_at_100_hz_cost_no_good_one(peer: Peer, processes: Processes) -> None:
+    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
+    peer.connect()
+    peer.publish_camera()
+    rng = np.random.default_rng(3)
+    for t in range(1000, 2001, 5):
+        peer.publish_events(t * MS)
+        peer.events.publish(b"\x00\x01\x00\x00" + rng.bytes(40))
+        peer.spin_for(0.01)
+    peer.spin_until(lambda: len(peer.twists) == 100, "all windows of the good messages")
+    assert {t.twist.angular.x for t in peer.twists} == {10.0}
+    peer.spin_until(lambda: peer.status()["malformed_messages"] == "201", "the count")
+    assert processes.output(node).count("malformed") <= 2  # in 2 s and more: throttled
+    said = {s.message for d in peer.diagnostics for s in d.status}
+    assert any("malformed messages: check the driver's message version" in m for m in said)
+
+
+def test_missing_device_ends_the_start_where_the_cpu_is_refused(processes: Processes) -> None:
+    wishes = ("-p", "estimator.device:=cuda", "-p", "on_missing_device:=refuse")
+    node = processes.start_fake("NoCuda", *wishes)
+    assert node.wait(WAIT_S) == 2
+    [line] = [x for x in processes.output(node).splitlines() if x.startswith("error: ")]
+    assert "estimator.device: no CUDA device was found" in line
+
+
+def test_missing_device_is_named_while_the_cpu_does_its_work(
+    peer: Peer, processes: Processes
+) -> None:
+    processes.start_fake("NoCuda", "-p", "estimator.device:=cuda")
+    peer.connect()
+    peer.publish_camera()
+    run_windows(peer, 1000, 1011)
+    peer.spin_until(lambda: len(peer.twists) == 1, "a twist")
+    said = "no CUDA device was found; use cpu; estimating on the CPU"
+    peer.spin_until(lambda: said in peer.status()["message"], "the warning")
+    assert peer.diagnostics[-1].status[0].level == b"\x01"
+
+
+def test_two_nodes_in_namespaces_do_not_mix(processes: Processes) -> None:
+    with Peer("/left/events") as left, Peer("/right/events") as right:
+        received: dict[str, list[TwistStamped]] = {}
+        for name, peer in (("left", left), ("right", right)):
+            received[name] = []
+            peer.node.create_subscription(
+                TwistStamped, f"/{name}/egomotion/twist", received[name].append, 10
+            )
+        for name, peer in (("left", left), ("right", right)):
+            processes.start_fake("Recorder", "-r", f"__ns:=/{name}")
+            peer.connect()
+            peer.spin_until(
+                lambda who=f"/{name}/estimator: estimator", at=peer: (
+                    who in {d.status[0].name for d in at.diagnostics}
+                ),
+                "this node is heard",
+            )
+        left.publish_camera()
+        right.publish_camera(SMALL)
+        run_windows(left, 1000, 1031)
+        run_windows(right, 7000, 7021, camera=SMALL)
+        left.spin_until(lambda: len(received["left"]) == 3, "the left twists")
+        right.spin_until(lambda: len(received["right"]) == 2, "the right twists")
+        assert {t.twist.angular.z for t in received["left"]} == {64.0}
+        assert {t.twist.angular.z for t in received["right"]} == {32.0}
