@@ -2,16 +2,18 @@
 
 import os
 import signal
+import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Peer, Processes, children
 
-from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.windows import WindowSlicer
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.simulation.bags import data_topics, write_bag
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
@@ -19,6 +21,9 @@ from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 pytestmark = pytest.mark.dds
 
 REPLAY = (sys.executable, "-m", "emoflow_ros.offline.replay")
+EVALUATE = "import sys; from emoflow_ros.offline.evaluate import main; sys.exit(main())"
+RATE = "0.5"
+TOLERANCE = 1e-6  # rad/s and of a unit vector: the node's twists are the offline ones
 START = 1_500_000_000_000_000_000
 
 
@@ -35,15 +40,27 @@ def bag(recording: SimulatedRecording, tmp_path_factory: pytest.TempPathFactory)
     return path
 
 
-@pytest.fixture(scope="module")
-def expected(recording: SimulatedRecording) -> list[Estimate]:
-    """The same windows through the same estimator, without ROS."""
-    from emoflow_ros.core.factory import make_estimator
+@dataclass(frozen=True)
+class Window:
+    """What `evaluate` says about a window, which starts and ends at `t` -+ half its length."""
 
-    config = load_config("realtime")
-    estimator = make_estimator(recording.camera, config)
-    windows = WindowSlicer(config.window).push(recording.events)
-    return [estimator.estimate(window) for window in windows]
+    t: int
+    status: str
+    events: int
+    angular: np.ndarray
+    linear: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def expected(bag: Path) -> list[Window]:
+    """The same bag through the executable `evaluate`."""
+    command = (sys.executable, "-c", EVALUATE, str(bag), "--out", str(bag.parent / "offline"))
+    subprocess.run(command, check=True)
+    columns = read_estimates(bag.parent / "offline" / "estimates.h5").columns
+    middles = (columns["t_start_ns"] + columns["t_end_ns"]) // 2
+    names = ("status", "events", "angular", "linear")
+    rows = zip(middles.tolist(), *(columns[name] for name in names), strict=True)
+    return [Window(*row) for row in rows]
 
 
 def stamps(peer: Peer) -> list[int]:
@@ -59,7 +76,7 @@ def start(peer: Peer, processes: Processes, bag: Path) -> None:
     peer.node.destroy_publisher(peer.events)
     processes.start_node(parameters=("input.queue_windows:=50",))  # the machine may be busy
     peer.hear()
-    processes.start(*REPLAY, str(bag), "--wait", "60")
+    processes.start(*REPLAY, str(bag), "--wait", "60", "--rate", RATE)
 
 
 def test_node_publishes_what_the_estimator_finds_and_that_is_true(
@@ -67,11 +84,13 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     processes: Processes,
     recording: SimulatedRecording,
     bag: Path,
-    expected: list[Estimate],
+    expected: list[Window],
 ) -> None:
     assert len(expected) >= 12
-    assert all(e.status is Status.OK for e in expected)
+    assert all(e.status == Status.OK for e in expected)
     peer.subscribe_flow()
+    statuses: list[DiagnosticStatus] = []
+    peer.node.create_subscription(DiagnosticStatus, "/egomotion/status", statuses.append, 100)
     start(peer, processes, bag)
     peer.spin_until(
         lambda: (
@@ -87,14 +106,16 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     assert peer.status()["windows_dropped"] == "0"
 
     # The node may match this subscriber after its first answer, which then reaches nobody; from
-    # there on nothing is missing, and it is what the estimator makes of these windows.
+    # there on nothing is missing, and it is what `evaluate` makes of the same windows.
     assert len(peer.twists) >= len(expected) - 1
     expected = expected[-len(peer.twists) :]
     assert stamps(peer) == [e.t for e in expected]
+    said = [{v.key: v.value for v in status.values} for status in statuses[-len(expected) :]]
+    assert [int(values["events"]) for values in said] == [e.events for e in expected]
     angular = np.array([list(_xyz(t.twist.angular)) for t in peer.twists])
     linear = np.array([list(_xyz(t.twist.linear)) for t in peer.twists])
-    np.testing.assert_allclose(angular, [e.angular for e in expected], atol=1e-6)
-    np.testing.assert_allclose(linear, [e.linear for e in expected], atol=1e-6)
+    np.testing.assert_allclose(angular, [e.angular for e in expected], rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(linear, [e.linear for e in expected], rtol=0, atol=TOLERANCE)
 
     # And that is the camera's motion.
     true = [recording.truth.twist(t) for t in stamps(peer)]
@@ -116,7 +137,7 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
 
 
 def test_killed_worker_costs_one_window_of_a_running_replay(
-    peer: Peer, processes: Processes, bag: Path, expected: list[Estimate]
+    peer: Peer, processes: Processes, bag: Path, expected: list[Window]
 ) -> None:
     start(peer, processes, bag)
     peer.spin_until(lambda: len(peer.twists) >= 4, "some twists", 60.0)
