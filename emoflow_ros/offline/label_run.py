@@ -12,7 +12,7 @@ from tqdm import tqdm
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.arguments import Source
+from emoflow_ros.offline.arguments import Source, make_folder
 from emoflow_ros.offline.label_chunks import Job, event_span, plan_chunks
 from emoflow_ros.offline.label_file import Header, fingerprint, merge
 from emoflow_ros.offline.label_workers import Run
@@ -139,7 +139,7 @@ def _prepare(folder: Path, resume: bool) -> None:
     """Make the folder of parts; without what an earlier run left, unless that counts."""
     if folder.exists() and not resume:
         shutil.rmtree(folder)
-    folder.mkdir(exist_ok=True)
+    make_folder(folder)
     for partial in folder.glob("*.partial"):
         partial.unlink()
 
