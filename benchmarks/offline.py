@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="S",
         help="seconds (default: 60, of which the files take 2.2 GB beside --out)",
     )
-    add("--fps", type=int, default=1000, help="rendered images per second (default: 1000)")
+    add("--fps", type=int, default=250, help="rendered images per second (default: 250)")
     add(
         "--out",
         type=Path,
