@@ -43,6 +43,14 @@ def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S)
         time.sleep(0.01)
 
 
+def contention() -> float:
+    """How many times longer than on an idle machine a computation takes now, at least 1."""
+    wall, processor = time.monotonic(), time.process_time()
+    while time.process_time() - processor < 0.1:
+        pass
+    return max(1.0, (time.monotonic() - wall) / 0.1)
+
+
 def children(pid: int) -> list[int]:
     """Process ids of the direct children, whichever thread started them."""
     found: list[int] = []

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
-from harness import MS, WAIT_S, Peer, Processes, wait_for
+from harness import MS, WAIT_S, Peer, Processes, contention, wait_for
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
@@ -70,7 +70,7 @@ def test_replayed_events_arrive_at_the_estimator_complete(
     peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
     assert [int(t.twist.angular.x) for t in peer.twists] == expected
     assert {t.twist.angular.z for t in peer.twists} == {346.0}  # the bag's camera_info
-    assert replay.wait(10.0) == 0
+    assert replay.wait(WAIT_S) == 0
     assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in processes.output(node)
 
 
@@ -125,9 +125,9 @@ def test_clock_and_rate(peer: Peer, processes: Processes, bags: Path) -> None:
     assert stamps[0] == START
     assert set(np.diff(stamps)) == {10 * MS}
     elapsed = ticks[-1][0] - ticks[0][0]
-    assert elapsed == pytest.approx((stamps[-1] - stamps[0]) / 1e9 / 0.25, abs=0.15)
+    assert elapsed == pytest.approx((stamps[-1] - stamps[0]) / 1e9 / 0.25, abs=0.15 * contention())
     assert peer.events.get_subscription_count() == 0
-    assert replay.wait(10.0) == 0
+    assert replay.wait(WAIT_S) == 0
 
 
 def test_interrupt_ends_the_loop(processes: Processes, bags: Path) -> None:
@@ -135,8 +135,8 @@ def test_interrupt_ends_the_loop(processes: Processes, bags: Path) -> None:
     wait_for(lambda: "100%" in processes.output(replay), "the first round")
     replay.send_signal(signal.SIGINT)
     started = time.monotonic()
-    assert replay.wait(5.0) == 130
-    assert time.monotonic() - started < 1.0
+    assert replay.wait(WAIT_S) == 130
+    assert time.monotonic() - started < 1.0 * contention()
     assert "Traceback" not in processes.output(replay)
 
 

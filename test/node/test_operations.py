@@ -1,0 +1,49 @@
+"""The table of faults in docs/operations.md, against the tests that it names."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+COLUMNS = ["fault", "what the node does", "what is lost", "test"]
+
+
+def cells(row: str) -> list[str]:
+    return [cell.strip() for cell in row.strip("|").split("|")]
+
+
+def table() -> list[list[str]]:
+    """The rows of the table, without its head."""
+    section = (ROOT / "docs" / "operations.md").read_text().partition("## When something goes")[2]
+    rows = [line for line in section.partition("\n## ")[0].splitlines() if line.startswith("|")]
+    assert cells(rows[0]) == COLUMNS
+    return [cells(row) for row in rows[2:]]
+
+
+def existing() -> set[str]:
+    """Names of all tests of the node, alone and over DDS."""
+    folders = (ROOT / "test" / "node", ROOT / "test" / "integration")
+    files = [path for folder in folders for path in folder.glob("test_*.py")]
+    bodies = [ast.parse(path.read_text()).body for path in files]
+    return {node.name for body in bodies for node in body if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("row", table(), ids=lambda row: row[0])
+def test_every_fault_names_tests_that_exist(row: list[str]) -> None:
+    assert len(row) == len(COLUMNS)
+    assert all(row)
+    named = re.findall(r"`(test_\w+)`", row[3])
+    assert named
+    assert set(named) <= existing()
+
+
+def test_table_lists_the_faults_that_were_asked_for() -> None:
+    faults = " ".join(row[0] for row in table())
+    for word in (
+        "killed", "hangs", "not finite", "out of memory", "CUDA missing", "CUDA lost",
+        "no calibration", "calibration changes", "zeros", "malformed", "never reads",
+        "more events", "no events", "QoS", "SIGTERM",
+    ):  # fmt: skip
+        assert word in faults
