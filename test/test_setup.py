@@ -1,15 +1,10 @@
-"""What set-up rests on: the package description, the locks and the launch files."""
+"""What set-up rests on: the package description, the locks and the executables."""
 
-import ast
-import importlib
 import re
-import runpy
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -83,59 +78,3 @@ def test_maintainer_has_a_valid_address() -> None:
     maintainer = manifest.find("maintainer")
     assert maintainer is not None
     assert re.fullmatch(r"[^@\s]+@[^@\s]+\.[^@\s]+", maintainer.get("email", ""))
-
-
-class _Recorded:
-    """Stands for a class of the launch packages: keeps what it was made with."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        self.args, self.kwargs = args, kwargs
-
-    def perform(self, context: dict[str, str]) -> str:
-        return context[self.args[0]]
-
-
-@pytest.fixture
-def launch_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    contents = {
-        "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument", "IncludeLaunchDescription", "OpaqueFunction"],
-        "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
-        "launch.substitutions": ["LaunchConfiguration"],
-        "launch_ros": [],
-        "launch_ros.actions": ["Node"],
-    }
-    for module, names in contents.items():
-        fake = ModuleType(module)
-        for name in names:
-            setattr(fake, name, type(name, (_Recorded,), {}))
-        monkeypatch.setitem(sys.modules, module, fake)
-
-
-@pytest.mark.usefixtures("launch_packages")
-def test_launch_of_the_estimator_passes_what_was_asked_for() -> None:
-    launched = runpy.run_path(str(ROOT / "launch" / "estimator.launch.py"))
-    [entities] = launched["generate_launch_description"]().args
-    context = {name: default for name, (default, _) in launched["ARGUMENTS"].items()}
-    [start] = [e.kwargs["function"] for e in entities if "function" in e.kwargs]
-    [node] = start(context | {"events": "/cam/events", "params_file": "my.yaml"})
-    assert node.kwargs["executable"] in entry_points()
-    assert node.kwargs["remappings"] == [("events", "/cam/events")]
-    assert node.kwargs["parameters"][1] == "my.yaml"
-    parameters = importlib.import_module("emoflow_ros.node.parameters")
-    settings = parameters.Settings(parameters.NodeOptions(), parameters.Config())
-    known = {info.name for info in parameters.table(settings)} | {"use_sim_time"}
-    assert set(node.kwargs["parameters"][0]) <= known
-
-
-@pytest.mark.usefixtures("launch_packages")
-def test_launch_of_a_replay_includes_the_estimator() -> None:
-    launched = runpy.run_path(str(ROOT / "launch" / "replay.launch.py"))
-    [entities] = launched["generate_launch_description"]().args
-    *_, include, replay = entities
-    assert Path(include.args[0].args[0]).samefile(ROOT / "launch" / "estimator.launch.py")
-    assert replay.kwargs["executable"] in entry_points()
-    flags = [a for a in replay.kwargs["arguments"] if isinstance(a, str)]
-    tree = ast.parse((ROOT / "emoflow_ros" / "offline" / "replay.py").read_text())
-    strings = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}
-    assert set(flags) <= strings

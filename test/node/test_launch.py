@@ -10,6 +10,11 @@ from typing import Any
 import pytest
 import yaml
 
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+from emoflow_ros.core.config import load_config
+from emoflow_ros.node.parameters import NodeOptions, Settings
+
 ROOT = Path(__file__).resolve().parents[2]
 
 type Start = Callable[..., list[Any]]
@@ -85,6 +90,22 @@ def test_topics_are_remapped_only_when_they_are_given(start: Start) -> None:
     assert remapped == [("events", "/cam/events"), ("camera_info", "/cam/info")]
 
 
+def test_arguments_become_parameters_that_the_node_has(start: Start) -> None:
+    [node] = start(speed="2.0", twist_rate="100", frame="cam", calibration_file="c.yaml")
+    given = {name: value for source in node.parameters for name, value in source.items()}
+    assert given.pop("use_sim_time") is False
+    settings = Settings(NodeOptions(), load_config(given["profile"])).changed(given)
+    assert settings.node.scale.speed == 2.0
+    assert settings.node.camera.frame_id == "cam"
+
+
+def test_executables_are_those_of_the_package(start: Start, replay: Start) -> None:
+    described = (ROOT / "setup.py").read_text()
+    for node in (*start(), *replay()):
+        assert node.package == "emoflow_ros"
+        assert f'f"{node.executable} = {{PACKAGE}}.' in described
+
+
 def test_simulated_time_and_profile(start: Start) -> None:
     given = start(use_sim_time="true", profile="rigid")[0].parameters[0]
     assert (given["use_sim_time"], given["profile"]) == (True, "rigid")
@@ -131,6 +152,8 @@ def test_replay_plays_the_bag_and_is_the_clock_where_time_is_simulated(replay: S
     assert node.arguments == ["my.bag", "--rate", "0.5", "--wait", "60"]
     [node] = replay(use_sim_time="true")
     assert node.arguments[-1] == "--clock"
+    known = (ROOT / "emoflow_ros" / "offline" / "replay.py").read_text()
+    assert all(f'"{flag}"' in known for flag in node.arguments if flag.startswith("--"))
 
 
 @pytest.mark.parametrize("namespace", ["", "left", "/left"])
