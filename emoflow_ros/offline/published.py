@@ -23,7 +23,8 @@ _MVSEC = (
     "Each window runs from a frame to the 4th one after it (dt=4) and is fitted to 30 000 events "
     "(40 000 outdoors), also from outside the window, from a cold start with 1000 iterations "
     "or, with early stopping, fewer.",
-    "RMS errors are taken per window, then averaged over windows.",
+    "RMS errors are taken per window, then averaged over windows, against the smoothed velocities "
+    "of MVSEC's *_odom.npz.",
     "The error of v takes the magnitude and the sign of every axis from the truth: it says nothing "
     "about the direction, and compares with the row marked 'paper' alone.",
     "The warp is a single Euler step; the epipolar constraint leaves lens distortion out and, "

@@ -145,7 +145,9 @@ def _html(
         facts=facts,
         measures=measures,
         by_truth=by_truth,
-        truth_rows=_truth_rows(by_truth),
+        other_truths=list(by_truth)[1:],
+        against={(name, m.key): m for name, of in by_truth.items() for m in of},
+        truth_measures=list({m.key: m for of in by_truth.values() for m in of}.values()),
         charts=_charts(run),
         examples=[(e, png_uri(window_panels(e, run.camera, run.truth))) for e in examples],
         pictured={example.result.index for example in examples},
@@ -194,15 +196,6 @@ def _charts(run: Evaluation) -> list[tuple[str, str, str]]:
 
 def _moving(path: Trajectory | None) -> Trajectory | None:
     return path if path is not None and path.has_translation else None
-
-
-def _truth_rows(
-    by_truth: Mapping[str, Sequence[Measure]],
-) -> list[tuple[Measure, list[Measure | None]]]:
-    """Rows of the table of truths: a measure for its name, and its figure against each source."""
-    columns = [{measure.key: measure for measure in of} for of in by_truth.values()]
-    known = {key: measure for column in columns for key, measure in column.items()}
-    return [(known[key], [column.get(key) for column in columns]) for key in known]
 
 
 def _thinned(windows: Sequence[WindowResult], most: int) -> list[WindowResult]:

@@ -196,8 +196,9 @@ def test_report_holds_the_values(folder, tmp_path):
 
     html = written.html.read_text()
     assert 'Flow EPE</td><td class="value">5.00</td>' in html
-    assert "<th>Published</th>" in html
     assert "<td>1.56</td>" in html
+    assert "<td>1.61</td>" in html
+    assert "<li>From cold starts.</li>" in html
     assert "4 of 5 with an estimate" in html
     assert "ValueError: singular matrix" in html
     assert "window.duration_ms" in html
