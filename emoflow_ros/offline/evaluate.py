@@ -21,6 +21,7 @@ from emoflow_ros.offline.arguments import (
     make_folder,
     overrides,
     positive,
+    positive_number,
 )
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter
@@ -145,7 +146,7 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
     )
     add(
         "--speed",
-        type=float,
+        type=positive_number,
         metavar="M_S",
         help="the camera's speed, m/s, where it is known: scale of the trajectory (default: the "
         "truth's, an oracle)",

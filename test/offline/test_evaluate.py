@@ -75,6 +75,14 @@ def test_bad_options(monkeypatch, capsys, tmp_path, arguments, words):
     assert_line(capsys, call(monkeypatch, folder, *arguments), words)
 
 
+@pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
+def test_speed_is_a_number_above_0(monkeypatch, capsys, tmp_path, speed):
+    with pytest.raises(SystemExit) as done:
+        call(monkeypatch, tmp_path, f"--speed={speed}")
+    assert done.value.code == 2
+    assert f"{speed} is not a number above 0" in capsys.readouterr().err
+
+
 def test_out_that_is_a_file(monkeypatch, capsys, tmp_path):
     folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
     (tmp_path / "file").touch()

@@ -23,6 +23,11 @@ def test_bag_to_report(monkeypatch, capsys, tmp_path, calm_bag):
     epe, share = (report["summary"][key]["value"] for key in ("epe_px", "epe_percent"))
     assert epe < 1.5
     assert share < 25
+    figures = {key: entry["value"] for key, entry in report["summary"].items()}
+    assert figures["rpe_step_deg"] < 1
+    assert 0 < figures["oracle_ate_m"] < 0.05
+    assert 0 < report["wall_s"] < 60
+    assert report["worst_windows"][0] in range(4)
     assert str(out / "report.html") in capsys.readouterr().out
     assert (out / "report.html").stat().st_size > 100_000
     assert not (out / "checkpoint.pickle").exists()
