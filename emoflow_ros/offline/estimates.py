@@ -150,6 +150,7 @@ class EstimatesWriter:
                 raise InputError(
                     path, f"has fewer than {keep} rows", "start again without --resume"
                 )
+            self._datasets = dict(self._file.items())
             self.truncate(keep)
             return
         self._file.attrs.update(
@@ -168,6 +169,7 @@ class EstimatesWriter:
             columns["flow"] = _flow_column(camera)
         for name, column in columns.items():
             self._create(name, column)
+        self._rows, self._datasets = 0, dict(self._file.items())
 
     def append(
         self,
@@ -206,9 +208,10 @@ class EstimatesWriter:
         self._file.flush()
 
     def truncate(self, rows: int) -> None:
-        """Remove what there is beyond the first `rows` windows."""
-        for dataset in self._file.values():
-            dataset.resize(min(rows, len(dataset)), axis=0)
+        """Remove what there is beyond the first `rows` windows, of which there are as many."""
+        self._rows = rows
+        for dataset in self._datasets.values():
+            dataset.resize(rows, axis=0)
 
     def __enter__(self) -> Self:
         return self
