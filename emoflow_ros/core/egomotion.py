@@ -55,9 +55,9 @@ class Motion:
     speed: float = 1.0
 
     @classmethod
-    def constant(cls, w: Array, v: Array) -> "Motion":
+    def constant(cls, w: Array, v: Array, speed: float = 1.0) -> "Motion":
         """Build the spline of a constant motion."""
-        return cls(np.tile(w, (CONTROL_POINTS, 1)), np.tile(v, (CONTROL_POINTS, 1)))
+        return cls(np.tile(w, (CONTROL_POINTS, 1)), np.tile(v, (CONTROL_POINTS, 1)), speed)
 
     def at(self, s: float) -> tuple[Array, Array]:
         """Angular velocity (3,) rad per window and unit direction (3,) at s in [0, 1]."""

@@ -146,7 +146,7 @@ class LatticeEstimator:
         slope = _EXTRAPOLATION * change * nodes[:, None].astype(np.float32)
         fit.flow = ((mean + slope) * ratio).astype(np.float32)
         w, v = last.motion.at(1.0)
-        fit.motion = Motion.constant(w * ratio, v)
+        fit.motion = Motion.constant(w * ratio, v, speed=ratio)
         prior = None
         if last.belief is not None:
             prior = MotionPrior.carried(

@@ -8,19 +8,21 @@ from emoflow_ros.core.windows import Window, WindowPolicy
 
 _GRID_PX = 16  # between the pixels whose displacement counts
 _STILL_PX = 1e-3
+_FAST = 0.9  # quantile of the displacements that counts: where it is fast, warps fail first
+_FIRST_PER_PIXEL = 2 / 3  # events of the first part, before any motion is known
 
 
 class MotionWindows:
     """Estimates the latest part of each window that the motion allows (an Estimator).
 
     Events are what edges leave behind per pixel that they move: a part with the events of
-    `max_displacement_px` pixels, as many as the last part's events and median displacement tell,
-    is short as soon as the camera is fast, and long when events are few. Its length depends on
-    nothing but the windows so far. A part never begins before the one before it, so that the
+    `max_displacement_px` pixels, as many as the last part's events and displacement tell, is short
+    as soon as the camera is fast, and long when events are few. Its length depends on nothing but
+    the windows so far. A part never begins before the one before it, so that the
     estimates' times grow.
 
     Where a part gives no estimate the next one has twice its events, until it is a whole window;
-    then it is min_count events again, as at the start.
+    then it is as at the start, two events for every three pixels.
 
     Args:
         estimator: of the parts.
@@ -34,6 +36,9 @@ class MotionWindows:
         columns = np.arange(_GRID_PX // 2, camera.width, _GRID_PX)
         rows = np.arange(_GRID_PX // 2, camera.height, _GRID_PX)
         self._grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(float)
+        self._first_count = max(
+            policy.min_count, round(_FIRST_PER_PIXEL * camera.width * camera.height)
+        )
         self._forget()
 
     def reset(self) -> None:
@@ -42,7 +47,7 @@ class MotionWindows:
         self._estimator.reset()
 
     def _forget(self) -> None:
-        self._count = self._policy.min_count
+        self._count = self._first_count
         self._start: int | None = None
 
     def estimate(self, window: Window) -> Estimate:
@@ -63,11 +68,11 @@ class MotionWindows:
 
     def _next_count(self, estimate: Estimate, part: Window, window: Window) -> int:
         if estimate.status is Status.OK and estimate.flow is not None:
-            moved = max(_STILL_PX, self._median_displacement(estimate.flow, part))
+            moved = max(_STILL_PX, self._displacement(estimate.flow, part))
             return round(len(part.events) * self._policy.max_displacement_px / moved)
-        return 0 if part is window else 2 * len(part.events)
+        return self._first_count if part is window else 2 * len(part.events)
 
-    def _median_displacement(self, flow: FlowSampler, part: Window) -> float:
-        """Median over the image of the way from the part's start to its end, px."""
+    def _displacement(self, flow: FlowSampler, part: Window) -> float:
+        """Way that 90 % of the image's pixels keep to from the part's start to its end, px."""
         end = flow.tracks(self._grid, (part.t_start, part.t_end))[1]
-        return float(np.median(np.linalg.norm(end - self._grid, axis=1)))
+        return float(np.quantile(np.linalg.norm(end - self._grid, axis=1), _FAST))

@@ -23,7 +23,8 @@ _FREEDOM = 4.5
 # So little that there is nothing else to explain:
 _NOTHING_PX = 0.15
 _NOTHING_SHARE = 0.015
-_HYSTERESIS = 1.25
+_HYSTERESIS = 1.25  # of a rotation ...
+_INERTIA = 1.5  # ... and of travel, which passes through moments that look like rotation
 
 
 @dataclass
@@ -73,7 +74,9 @@ class ModelSelector:
         ):
             setattr(self, name, past * getattr(self, name) + (1 - past) * value)
         self.windows += 1
-        slack = _HYSTERESIS if self.model is MotionModel.ROTATION else 1.0
+        slack = 1.0
+        if self.windows > 1:
+            slack = _HYSTERESIS if self.model is MotionModel.ROTATION else 1 / _INERTIA
         nothing = (
             self.residual_share < _NOTHING_SHARE * slack or self.residual_px < _NOTHING_PX * slack
         )

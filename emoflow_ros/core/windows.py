@@ -43,7 +43,7 @@ class WindowPolicy:
     With max_displacement_px > 0 they are the longest that may be; motion_windows.py shortens them.
 
     Raises:
-        InputError: a stride longer than the window, which would leave gaps.
+        InputError: a count_stride above count, which would leave gaps.
     """
 
     duration_ms: float = option(
@@ -52,7 +52,7 @@ class WindowPolicy:
     stride_ms: float = option(
         0.0,
         "from one window's start to the next one's: less than the duration overlaps them, "
-        "0 means the duration",
+        "0 or more means the duration",
         unit="ms",
         minimum=0.0,
         maximum=10_000.0,
@@ -65,8 +65,8 @@ class WindowPolicy:
     )
     max_displacement_px: float = option(
         0.0,
-        "estimate of each window only the latest part, as long as its median displacement stays "
-        "at this; 0 takes windows whole",
+        "estimate of each window only the latest part in which 90 % of the pixels move no further "
+        "than this; 0 takes windows whole",
         unit="px",
         minimum=0.0,
         maximum=1000.0,
@@ -75,13 +75,17 @@ class WindowPolicy:
         10_000, "events that such a part holds at least, if the window does", minimum=100
     )
 
+    @property
+    def duration_ns(self) -> int:
+        """Length of a window by time."""
+        return round(self.duration_ms * NS_PER_MS)
+
+    @property
+    def stride_ns(self) -> int:
+        """From one window's start to the next one's, by time."""
+        return min(round(self.stride_ms * NS_PER_MS) or self.duration_ns, self.duration_ns)
+
     def __post_init__(self) -> None:
-        if self.stride_ms > self.duration_ms:
-            raise InputError(
-                "window.stride_ms",
-                f"{self.stride_ms:g} ms with windows of {self.duration_ms:g} ms leaves gaps",
-                "give a stride of at most window.duration_ms",
-            )
         if self.count_stride > self.count:
             raise InputError(
                 "window.count_stride",
@@ -140,8 +144,7 @@ class WindowSlicer:
 
     def _by_time(self) -> list[Window]:
         assert self._start is not None and self._last is not None
-        duration = round(self.policy.duration_ms * NS_PER_MS)
-        stride = round(self.policy.stride_ms * NS_PER_MS) or duration
+        duration, stride = self.policy.duration_ns, self.policy.stride_ns
         if self._last < self._start + duration:
             return []
         pending = Events.concatenate(self._parts)

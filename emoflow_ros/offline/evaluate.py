@@ -162,6 +162,8 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
 
 def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, overrides(options))
+    if options.protocol != WINDOWS:
+        config = config.with_whole_windows()
     if options.ablate:
         variants_of(options.ablate, config)  # refused before anything is estimated
     sequence = find_sequence(options.sequence) if options.sequence else None

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window, WindowPolicy
+from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.arguments import Source
 from emoflow_ros.offline.evaluation import attempt
@@ -44,7 +44,7 @@ class Chunk:
 
     def intervals(self, policy: WindowPolicy) -> list[Interval]:
         """All windows (start, end) in ns, those of the margin first."""
-        duration, stride = _grid(policy)
+        duration, stride = policy.duration_ns, policy.stride_ns
         starts = (self.start + k * stride for k in range(-self.margin, self.windows))
         return [(start, start + duration) for start in starts]
 
@@ -83,7 +83,7 @@ def plan_chunks(
         The chunks in order; none where the recording is shorter than a window.
     """
     first, last = span
-    duration, stride = _grid(policy)
+    duration, stride = policy.duration_ns, policy.stride_ns
     total = max(0, (last - first - duration) // stride + 1)
     size = max(1, round(chunk_s * NS_PER_S / stride))
     margin = math.ceil(margin_s * NS_PER_S / stride)
@@ -152,9 +152,3 @@ def _windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window
         yield from slicer.push(events)
         if len(events) and events.t[-1] >= intervals[-1][1]:
             return
-
-
-def _grid(policy: WindowPolicy) -> tuple[int, int]:
-    """Length and stride of the windows, ns."""
-    duration = round(policy.duration_ms * NS_PER_MS)
-    return duration, round(policy.stride_ms * NS_PER_MS) or duration

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.windows import NS_PER_S, WindowPolicy, WindowSlicer
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Slicer
 from emoflow_ros.offline.frames import frame_stamps
@@ -86,12 +86,6 @@ def make_plan(
     """
     _check("--protocol", protocol, PROTOCOLS)
     _check("--policy", clips, POLICIES)
-    if protocol != WINDOWS and policy.max_displacement_px:
-        raise InputError(
-            "window.max_displacement_px",
-            f"{policy.max_displacement_px:g} px would shorten the intervals of {protocol}",
-            f"leave it at 0, or give --protocol {WINDOWS}",
-        )
     if protocol == WINDOWS:
         plan = _free_windows(truth, policy, clips)
     elif protocol == DSEC:
@@ -111,8 +105,8 @@ def _free_windows(truth: Truth, policy: WindowPolicy, clips: str) -> Plan:
     if policy.count:
         words = f"windows of {policy.count} events"
     else:
-        stride = policy.stride_ms or policy.duration_ms
-        words = f"windows of {policy.duration_ms:g} ms every {stride:g} ms"
+        every = policy.stride_ns / NS_PER_MS
+        words = f"windows of {policy.duration_ms:g} ms every {every:g} ms"
     if policy.max_displacement_px:
         words += f", of each the latest {policy.max_displacement_px:g} px"
     return Plan(WindowSlicer(policy), truth, words)

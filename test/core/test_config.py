@@ -83,7 +83,7 @@ def test_flat_values_load_the_same_configuration_again():
         ("window: 90", "window: no such option"),
         ("estimator: {max_events: many}", "'many' is not of type int"),
         ("window: {duration_ms: 0.5}", r"0\.5 is out of range; use 1 to 10000"),
-        ("window: {duration_ms: 20, stride_ms: 30}", "leaves gaps"),
+        ("window: {count: 20, count_stride: 30}", "leaves gaps"),
         ("window: {duration_ms: .nan}", "nan is out of range"),
         ("estimator: {model: magic}", "unknown value 'magic'; use one of auto, full, rotation"),
         ("method: magic", "method: unknown 'magic'; use lattice or implicit"),

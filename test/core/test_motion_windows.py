@@ -1,6 +1,6 @@
 """Windows by motion on streams that leave an exact number of events per pixel they move."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +19,7 @@ from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlice
 
 MS = 1_000_000
 START = 1_500_000_000_000_000_000
-CAMERA = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
+CAMERA = Camera(15, 10, 100.0, 100.0, 7.0, 4.5)  # first parts of 100 events
 PER_PX = 50  # events
 
 
@@ -93,11 +93,12 @@ def run(path: Path, policy: WindowPolicy, fails=lambda k: False) -> list[Window]
     return exact.windows
 
 
-def test_before_the_motion_is_known_a_part_holds_the_least_number_of_events():
-    assert len(run(Path([200.0] * 5), policy(min_count=150))[0].events) == 150
+@pytest.mark.parametrize(("min_count", "first"), [(100, 100), (150, 150)])
+def test_before_the_motion_is_known_a_part_holds_two_events_for_three_pixels(min_count, first):
+    assert len(run(Path([200.0] * 5), policy(min_count=min_count))[0].events) == first
 
 
-def test_the_median_displacement_is_the_bound():
+def test_the_displacement_is_the_bound():
     path = Path([200.0] * 6)
     for part in run(path, policy(8.0))[2:]:
         assert path.between(part.t_start, part.t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
@@ -190,7 +191,29 @@ def test_parts_move_on_and_depend_on_the_past_only(speeds, bound, failing, kept)
     assert [(p.t_start, p.t_end, len(p.events)) for p in whole][: len(ends)] == ends
 
 
+def test_nine_tenths_of_the_image_keep_to_the_bound():
+    """A shear: a pixel in column x moves by x / 100 px per window of 1000 events."""
+
+    class Shear:
+        def tracks(self, points, times):
+            return np.stack([points, points + np.outer(points[:, 0] / 100, [0.0, 1.0])])
+
+    class Sheared(ExactEstimator):
+        def estimate(self, window):
+            return replace(super().estimate(window), flow=Shear())
+
+    camera = Camera(1600, 16, 100.0, 100.0, 800.0, 8.0)
+    path = Path([200.0] * 3)
+    inner = Sheared(path)
+    estimator = MotionWindows(inner, camera, policy(bound=7.2, min_count=100))
+    window = Window(START, START + 100 * MS, path.events[:1000])
+    for _ in range(2):
+        estimator.estimate(window)
+    # Columns 8, 24, ... 1592: nine tenths are left of 1433.6, which moves by 14.336 px.
+    assert [len(w.events) for w in inner.windows] == [1000, round(1000 * 7.2 / 14.336)]
+
+
 def test_windows_are_taken_whole_unless_a_bound_is_set():
-    assert isinstance(make_estimator(CAMERA, load_config()), LatticeEstimator)
-    bounded = load_config(overrides={"window.max_displacement_px": 8.0})
-    assert isinstance(make_estimator(CAMERA, bounded), MotionWindows)
+    whole = load_config(overrides={"window.max_displacement_px": 0.0})
+    assert isinstance(make_estimator(CAMERA, whole), LatticeEstimator)
+    assert isinstance(make_estimator(CAMERA, load_config()), MotionWindows)

@@ -116,7 +116,7 @@ def test_fixed_parameter_changes_only_while_unconfigured(make_node: Callable[...
     ("name", "value"),
     [
         ("window.duration_ms", -1.0),
-        ("window.stride_ms", 5000.0),
+        ("window.stride_ms", 50000.0),
         ("window.count", -1),
         ("scale.topic", "/a//b"),
         ("scale.max_age_s", 0.0),

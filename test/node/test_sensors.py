@@ -17,7 +17,7 @@ from emoflow_ros.node.calibration_path import calibration_path
 from emoflow_ros.node.parameters import NodeOptions, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
-SENSORS = {"mvsec": 90.0, "dsec": 50.0, "davis240": 50.0, "evk4": 60.0}  # window in ms
+SENSORS = {"mvsec": 45.0, "dsec": 60.0, "davis240": 45.0, "evk4": 90.0}  # stride in ms
 
 
 def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -42,9 +42,9 @@ def settings(given: dict[str, Any]) -> Settings:
     return Settings(NodeOptions(), load_config(given["profile"])).changed(given)
 
 
-@pytest.mark.parametrize(("sensor", "window_ms"), SENSORS.items())
-def test_sensor_file_is_what_the_node_takes(sensor: str, window_ms: float) -> None:
-    assert settings(parameters(sensor)).config.window.duration_ms == window_ms
+@pytest.mark.parametrize(("sensor", "stride_ms"), SENSORS.items())
+def test_sensor_file_is_what_the_node_takes(sensor: str, stride_ms: float) -> None:
+    assert settings(parameters(sensor)).config.window.stride_ms == stride_ms
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
