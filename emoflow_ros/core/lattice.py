@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from emoflow_ros.core import assembly
+from emoflow_ros.core.interpolation import bilinear
 
 _MOST_NODES = 18
 _SUBSTEPS = 4  # midpoint steps per window of the dense products; error below 1e-3 px
@@ -113,12 +114,7 @@ class Lattice:
         Returns:
             (N, 2) px per window.
         """
-        out = np.empty((2, len(points)), np.float32)
-        still = self.at_time(flow, s)
-        where = (points * self.per_px).T
-        for d in range(2):
-            map_coordinates(still[..., d], where, out[d], order=1, mode="nearest")
-        return out.T
+        return bilinear(self.at_time(flow, s), points, self.per_px)
 
     def interpolate(
         self, values: NDArray[np.float64], points: NDArray[np.float64]
