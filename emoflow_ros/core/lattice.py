@@ -14,6 +14,7 @@ from emoflow_ros.core.interpolation import bilinear
 
 _MOST_NODES = 18
 _SUBSTEPS = 4  # midpoint steps per window of the dense products; error below 1e-3 px
+_MOST_STEPS = 256  # bound the time that an interval far longer than the window takes
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ class Lattice:
     def sample(
         self, flow: NDArray[np.float32], points: NDArray[np.float64], s: float
     ) -> NDArray[np.float32]:
-        """Interpolate a field at points (N, 2) px and time s; constant beyond the border.
+        """Interpolate a field at points (N, 2) px and time s; constant beyond border and window.
 
         Returns:
             (N, 2) px per window.
@@ -124,8 +125,8 @@ class Lattice:
         return map_coordinates(grid, (points * self.per_px).T, order=1, mode="nearest")
 
     def at_time(self, flow: NDArray[np.float32], s: float) -> NDArray[np.float32]:
-        """Interpolate a field in time, (columns, rows, 2)."""
-        at = s * (self.times - 1)
+        """Interpolate a field in time, (columns, rows, 2); constant before 0 and after 1."""
+        at = min(1.0, max(0.0, s)) * (self.times - 1)
         q = min(int(at), self.times - 2)
         return flow[:, :, q] + np.float32(at - q) * (flow[:, :, q + 1] - flow[:, :, q])
 
@@ -139,9 +140,10 @@ class Lattice:
     ) -> NDArray[np.float64]:
         """Carry points (N, 2) px along dx/ds = u(s, x) from time `start` to `end`.
 
-        The midpoint method, second order, with steps of at most 1 / 4 window.
+        The midpoint method, second order, with steps of at most 1 / 4 window (of more where the
+        way is longer than 64 windows).
         """
-        steps = max(1, int(np.ceil(abs(end - start) * _SUBSTEPS)))
+        steps = min(_MOST_STEPS, max(1, int(np.ceil(abs(end - start) * _SUBSTEPS))))
         h = (end - start) / steps
         for k in range(steps):
             s = start + k * h
@@ -177,6 +179,8 @@ class Lattice:
 class LatticeFlow:
     """The flow of one window as an estimate carries it (a FlowSampler).
 
+    Before and after the window the flow stays what it is at the window's start and end.
+
     Attributes:
         lattice: where the nodes are.
         values: the field, px per window.
@@ -189,7 +193,7 @@ class LatticeFlow:
     t_end: int
 
     def _position(self, t: int) -> float:
-        return min(1.0, max(0.0, (t - self.t_start) / (self.t_end - self.t_start)))
+        return (t - self.t_start) / (self.t_end - self.t_start)
 
     def velocity(self, t: int) -> NDArray[np.float32]:
         """Flow at time t (ns), (height, width, 2) in px/s."""

@@ -186,10 +186,33 @@ def test_tracks_of_the_pixels_are_their_displacements():
     np.testing.assert_allclose(tracks[1] - tracks[0], moved, atol=1e-4)
 
 
-def test_outside_the_window_time_stands_still():
+def test_outside_the_window_the_velocity_stays():
     flow = flow_of(linear(SHEAR, (3.0, -2.0)))
     np.testing.assert_array_equal(flow.velocity(START - MS), flow.velocity(START))
     np.testing.assert_array_equal(flow.velocity(END + MS), flow.velocity(END))
-    np.testing.assert_array_equal(
-        flow.displacement(START - MS, END + MS), flow.displacement(START, END)
+
+
+def test_displacement_over_an_interval_beyond_the_window():
+    """Flow 8 s px per window of 80 ms: 0 before it, 4 px in it, 0.1 px/ms after it."""
+    flow = flow_of(linear(np.zeros((2, 2)), drift=(8.0, 0.0)))
+    for before, after, u in [(-80, 0, 0), (0, 80, 4), (80, 160, 8), (-40, 120, 8), (100, 130, 3)]:
+        moved = flow.displacement(START + before * MS, START + after * MS)
+        np.testing.assert_allclose(moved[..., 0], u, rtol=1e-4, atol=1e-6)
+        np.testing.assert_array_equal(moved[..., 1], 0)
+
+
+def test_rotation_goes_on_beyond_the_window():
+    """0.15 rad in one and a half windows, half of them before it."""
+    flow = flow_of(linear(ROTATION))
+    points = CENTRE + np.array([[30.0, 0.0], [0.0, -50.0]])
+    tracks = flow.tracks(points, [START - 40 * MS, END])
+    expected = CENTRE + (points - CENTRE) @ expm(1.5 * ROTATION).T
+    np.testing.assert_allclose(tracks[1], expected, atol=2e-3)
+
+
+def test_an_interval_of_many_windows_takes_bounded_time():
+    flow = LatticeFlow(
+        LATTICE, field(linear(np.zeros((2, 2)), offset=(1e-6, 0.0))), START, START + 1
     )
+    tracks = flow.tracks(CENTRE[None], [START - 100 * MS, START])
+    np.testing.assert_allclose(tracks[1] - CENTRE, [[100.0, 0.0]], rtol=1e-4)
