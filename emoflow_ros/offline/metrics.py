@@ -63,7 +63,7 @@ def flow_errors(flow: Flow, truth: Flow) -> FlowErrors | None:
     Returns:
         None where no pixel has an estimate.
     """
-    known = np.isfinite(flow).all(axis=-1)
+    known = np.isfinite(flow[:, 0]) & np.isfinite(flow[:, 1])
     if not known.any():
         return None
     ours, true = flow[known].astype(np.float64), truth[known].astype(np.float64)
@@ -75,15 +75,15 @@ def flow_errors(flow: Flow, truth: Flow) -> FlowErrors | None:
         pe2=above[1],
         pe3=above[2],
         ae_deg=float(space_time_angle_deg(ours, true).mean()),
-        truth_px=float(np.hypot(*true.T).mean()),
+        truth_px=float(end_point_error(true, np.zeros(2)).mean()),
         pixels=len(errors),
     )
 
 
 def end_point_error(flow: Flow, truth: Flow) -> Flow:
     """Length of the difference of two displacements (..., 2), px."""
-    difference = flow - truth
-    return np.asarray(np.hypot(difference[..., 0], difference[..., 1]))
+    u, v = flow[..., 0] - truth[..., 0], flow[..., 1] - truth[..., 1]
+    return np.asarray(np.sqrt(u * u + v * v))
 
 
 def space_time_angle_deg(flow: Vectors, truth: Vectors) -> Vectors:

@@ -2,8 +2,10 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,11 @@ _KEPT_MAPS = 8
 class _Map:
     flow: NDArray[np.float32]
     moving: NDArray[np.bool_] | None
+
+    @cached_property
+    def mover(self) -> NDArray[np.bool_]:
+        """Pixels that are known to see a moving object."""
+        return np.zeros(self.flow.shape[:2], np.bool_) if self.moving is None else self.moving
 
 
 class FlowMaps(Protocol):
@@ -61,22 +68,17 @@ class PropagatedFlow:
         first = int(np.searchsorted(stamps, t0, side="right")) - 1
         last = int(np.searchsorted(stamps, t1, side="left"))
         height, width = self._map(first).flow.shape[:2]
-        start = np.indices((height, width), np.float64)[::-1].reshape(2, -1)
-        at = start.copy()
-        valid = np.ones(height * width, np.bool_)
-        moving = np.zeros(height * width, np.bool_)
+        start = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+        at = start.astype(np.float64)
+        valid = np.ones((height, width), np.bool_)
+        moving = np.zeros((height, width), np.bool_)
         for index in range(first, last):
             begin, end = int(stamps[index]), int(stamps[index + 1])
             share = (min(end, t1) - max(begin, t0)) / (end - begin)
             flow_map = self._map(index)
-            step, known, on_mover = _look_up(flow_map, at)
-            valid &= known
-            moving |= on_mover
-            at += share * step.astype(np.float64)
-        moved = np.where(valid, at - start, 0).astype(np.float32).T.reshape(height, width, 2)
-        told = flow_map.moving is not None
-        valid, moving = valid.reshape(height, width), moving.reshape(height, width)
-        return TrueFlow(moved, valid, moving if told else None)
+            _carry(flow_map.flow, flow_map.mover, share, at, valid, moving)
+        moved = np.where(valid[..., None], at - start, 0).astype(np.float32)
+        return TrueFlow(moved, valid, moving if flow_map.moving is not None else None)
 
     def _map(self, index: int) -> _Map:
         if index not in self._kept:
@@ -86,22 +88,36 @@ class PropagatedFlow:
         return self._kept[index]
 
 
-def _look_up(
-    flow_map: _Map, at: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Flow at the pixels nearest to `at`, both (2, N); where it is known, else it is zero.
+@numba.njit(cache=True, nogil=True)
+def _carry(
+    flow: NDArray[np.float32],
+    mover: NDArray[np.bool_],
+    share: float,
+    at: NDArray[np.float64],
+    valid: NDArray[np.bool_],
+    moving: NDArray[np.bool_],
+) -> None:
+    """Move positions by a share of the flow at their nearest pixels, in place.
 
-    Returns:
-        The flow, where it is known, and which of the pixels see a moving object.
+    Args:
+        flow: (H, W, 2) px.
+        mover: (H, W), which of its pixels see a moving object.
+        share: of the flow.
+        at: (H, W, 2) px, where each pixel of the start has come to.
+        valid: (H, W), cleared where there is no flow; the position stays there.
+        moving: (H, W), set where the nearest pixel sees a moving object.
     """
-    height, width = flow_map.flow.shape[:2]
-    column, row = np.rint(at).astype(np.int32)
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    nearest = np.where(inside, row * width + column, 0)
-    step = flow_map.flow.reshape(-1, 2).take(nearest, axis=0).T
-    known = inside & np.isfinite(step[0]) & np.isfinite(step[1]) & ((step[0] != 0) | (step[1] != 0))
-    if flow_map.moving is None:
-        on_mover = np.zeros_like(inside)
-    else:
-        on_mover = inside & flow_map.moving.ravel()[nearest]
-    return np.where(known, step, np.float32(0)), known, on_mover
+    height, width = flow.shape[:2]
+    for i in range(height):
+        for j in range(width):
+            column, row = int(np.rint(at[i, j, 0])), int(np.rint(at[i, j, 1]))
+            if not (0 <= column < width and 0 <= row < height):
+                valid[i, j] = False
+                continue
+            moving[i, j] |= mover[row, column]
+            u, v = flow[row, column]
+            if np.isfinite(u) and np.isfinite(v) and (u != 0 or v != 0):
+                at[i, j, 0] += share * u
+                at[i, j, 1] += share * v
+            else:
+                valid[i, j] = False
