@@ -134,7 +134,7 @@ def test_realtime_reports_what_it_ran(tmp_path, monkeypatch, capsys):
     [(recording, windows)] = recordings
     (first, _), (second, warm_s), (_, cold_s) = runs
     assert (recording.scene, recording.seed, len(windows)) == ("forward", 4, 2)
-    assert [w.t_end - w.t_start for w in windows] == [90 * MS] * 2
+    assert [w.t_end - w.t_start for w in windows] == [135 * MS] * 2
     assert figures["windows"] == 2
     assert figures["warm_ms"] == pytest.approx(1e3 * warm_s)
     assert figures["cold_ms"] == pytest.approx(1e3 * cold_s)
@@ -154,7 +154,7 @@ def test_realtime_reports_what_it_ran(tmp_path, monkeypatch, capsys):
     assert report["paper"]["full"]["seconds"] == pytest.approx(200 * 0.5 + 800 * 1.0)
     assert report["paper"]["early_stopping"]["seconds"] == pytest.approx(200 * 0.5 + 258 * 1.0)
     assert report["paper"]["full"]["over_warm_window"] == pytest.approx(900 / warm_s)
-    assert report["configuration"]["window.duration_ms"] == 90
+    assert report["configuration"]["window.duration_ms"] == 135
     assert report["machine"]["cores"]
     printed = capsys.readouterr().out
     assert "30.00" in printed

@@ -1,7 +1,7 @@
 """Typed configuration: defaults in the dataclasses, profiles in config/, overrides by name."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +31,6 @@ class Config:
     )
     window: WindowPolicy = field(default_factory=WindowPolicy)
     estimator: LatticeConfig | ImplicitConfig = field(default_factory=LatticeConfig)
-
-    def with_whole_windows(self) -> "Config":
-        """Take windows as they are cut, where a protocol says which."""
-        return replace(self, window=replace(self.window, max_displacement_px=0.0))
 
     def flat(self) -> dict[str, Any]:
         """All values by dotted name, as written beside every result."""

@@ -66,7 +66,7 @@ class LatticeConfig:
     model: str = option(
         "auto",
         "motion model: decided by the evidence, or fixed",
-        choices=("auto", "full", "rotation"),
+        choices=("auto", "full", "rotation", "translation"),
     )
     direction_drift: float = option(
         60.0,

@@ -118,6 +118,7 @@ class LatticeEstimator:
         fit.flow += best_constant_flow(fit.contrasts[0.25], few, _SEARCH_REACH_PX)
         fit.motion = None
         fit.structure = None
+        fit.straight = False
         for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
             for _ in range(steps):
                 fit.linearise(events, scale)
@@ -226,7 +227,7 @@ class LatticeEstimator:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()
         after = self._select(free, present, w)
-        if rotates and after is MotionModel.FULL:
+        if rotates and after is not MotionModel.ROTATION:
             fit.motion = Motion.constant(w, present)
         return after is not before or (switch and not rotates)
 
@@ -235,6 +236,7 @@ class LatticeEstimator:
         after = self._selector.update(self._epipolar, free, w, v)
         if self.config.model != "auto":
             after = self._selector.model = MotionModel(self.config.model)
+        self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])
         return after
@@ -242,8 +244,8 @@ class LatticeEstimator:
     def _result(self, window: Window, used: int, stop: str, gain: float, warm: bool) -> Estimate:
         fit = self._fit
         assert fit.motion is not None
-        full = self._selector.model is MotionModel.FULL
-        front = np.copysign(1.0, self._selector.agreement) if full else 0.0
+        travels = self._selector.model is not MotionModel.ROTATION
+        front = np.copysign(1.0, self._selector.agreement) if travels else 0.0
         w, v = fit.motion.at(0.5)
         unit = np.repeat([window.duration, 1.0], 3)
         middle = (window.t_start + window.t_end) // 2
@@ -256,10 +258,10 @@ class LatticeEstimator:
         )
         self._last = _Last(
             window.t_start, window.t_end, fit.flow, fit.motion,
-            belief if full else None, structure if full else None,
+            belief if travels else None, structure if travels else None,
         )  # fmt: skip
         covariance = belief.across()
-        if not full:
+        if not travels:
             covariance[:3], covariance[:, :3] = 0.0, 0.0
             covariance[0, 0] = -1.0
         residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]

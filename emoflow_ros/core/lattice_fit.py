@@ -21,6 +21,7 @@ SCALES = (0.25, 0.5, 1.0)
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
 
 _ROTATION_STIFFNESS = 10.0  # times dec_weight: a rotation leaves the flow no freedom of its own
+_STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does not turn may have
 _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
 _STRUCTURE_INLIER_PX = 1.0
 
@@ -88,6 +89,7 @@ class LatticeFit:
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion, or None before the flow is good enough to look for it.
         structure: inverse depths known from earlier windows, or None.
+        straight: whether the motion is a pure translation.
         evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
         information: (25, 25) on the motion's unknowns after the last step with a motion.
         step_px: root mean square of the last step of the flow.
@@ -107,6 +109,7 @@ class LatticeFit:
         self.flow = np.zeros(lattice.shape, np.float32)
         self.motion: Motion | None = None
         self.structure: Structure | None = None
+        self.straight = False
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.information = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
         self.step_px = 0.0
@@ -233,6 +236,10 @@ class LatticeFit:
         ):
             corner[part, part] += stiffness * self._roughness
             corner_vector[part] -= stiffness * self._roughness @ values.ravel()
+        if self.straight:
+            still = INFORMATION_EXCESS * (self.epipolar.px_per_rad / _STRAIGHT_PX) ** 2
+            corner[of_w, of_w] += still * np.eye(points)
+            corner_vector[of_w] -= still * motion.w.ravel()
         mean = np.tile(motion.v.mean(axis=0), CONTROL_POINTS) / CONTROL_POINTS
         corner[of_v, of_v] += evidence * np.outer(mean, mean)
         if prior is not None:

@@ -69,6 +69,10 @@ def _rotation(duration_s: float, rng: np.random.Generator) -> Scene:
     return Scene(_room(rng), Trajectory(waves=_hover(rng, speed=0, rate_deg=58, hz=0.6)))
 
 
+def _translation(duration_s: float, rng: np.random.Generator) -> Scene:
+    return Scene(_room(rng), Trajectory(waves=_hover(rng, speed=0.9, rate_deg=0, hz=0.25)))
+
+
 def _mover(duration_s: float, rng: np.random.Generator) -> Scene:
     calm = _calm(duration_s, rng)
     box = cuboid((0, 0, 0), (0.6, 0.6, 0.3), 0.3, Look(TEXTURES, 0.003, body=MOVING), rng)
@@ -124,6 +128,7 @@ SCENES: dict[str, SceneBuilder] = {
     "agile": _agile,
     "forward": _forward,
     "rotation": _rotation,
+    "translation": _translation,
     "driving": _driving,
     "mover": _mover,
     "noisy": _noisy,

@@ -139,6 +139,17 @@ def test_the_model_can_be_fixed(calm, rotation):
         assert (estimate.status, estimate.model) == (Status.OK, model)
 
 
+def test_a_camera_known_not_to_turn_travels_only():
+    run = run_of("translation")
+    fixed = run.estimator(model="translation")
+    for window in run.windows:
+        estimate = fixed.estimate(window)
+        assert estimate.model is MotionModel.TRANSLATION
+        assert np.linalg.norm(estimate.angular) < np.radians(0.1)
+        linear, _ = run.recording.truth.twist(estimate.t)
+        assert np.degrees(np.arccos(estimate.linear @ linear / np.linalg.norm(linear))) < 5
+
+
 def test_two_runs_are_bitwise_equal(calm):
     estimator = calm.estimator()
     for window, first in zip(calm.windows, calm.estimates, strict=True):

@@ -25,6 +25,6 @@ def test_every_parameter_of_every_profile_is_there(profile: str) -> None:
 def test_row_holds_type_default_unit_range_and_change() -> None:
     rows = [line for line in render().splitlines() if line.startswith("| `window.duration_ms`")]
     assert rows == [
-        "| `window.duration_ms` | float | `90.0` | ms | 1 to 10000 | any time "
+        "| `window.duration_ms` | float | `135.0` | ms | 1 to 10000 | any time "
         "| length of a window by time |"
     ]

@@ -80,7 +80,7 @@ def write_ecd(path, seconds=1.0, times=None):
 
 def call(monkeypatch, out, *arguments):
     """Chunks of 4 windows of 50 ms and a margin of 2, unless told otherwise."""
-    cut = ("--window-ms", 50, "--chunk-s", 0.2, "--margin-s", 0.1)
+    cut = ("--window-ms", 50, "--stride-ms", 50, "--chunk-s", 0.2, "--margin-s", 0.1)
     monkeypatch.setattr("sys.argv", ["label", *map(str, (*cut, *arguments, "--out", out))])
     return label.main()
 

@@ -21,8 +21,9 @@ from emoflow_ros.offline.label_workers import ray_workers
 from emoflow_ros.offline.readers import open_recording
 
 ROOT = Path(__file__).parents[2]
+WHOLE = ("--set", "window.max_displacement_px=0")
 POLICY = WindowPolicy(duration_ms=60.0, stride_ms=20.0)
-CUT = ("--window-ms", 60, "--stride-ms", 20, "--chunk-s", 0.06, "--margin-s", 0.02)
+CUT = ("--window-ms", 60, "--stride-ms", 20, "--chunk-s", 0.06, "--margin-s", 0.02, *WHOLE)
 
 
 @pytest.fixture(scope="module")

@@ -147,6 +147,7 @@ EXPECTED = {  # |w| deg/s, mean displacement in px per 90 ms
     "forward": ((7, 13), (3, 9)),
     "agile": ((50, 70), (20, 36)),
     "rotation": ((50, 70), (18, 30)),
+    "translation": ((0, 1e-6), (3, 10)),
     "driving": ((3, 5), (16, 33)),
     "mover": ((7, 15), (4, 10)),
     "noisy": ((7, 15), (4, 8)),
