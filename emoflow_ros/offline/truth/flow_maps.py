@@ -68,17 +68,17 @@ class PropagatedFlow:
         first = int(np.searchsorted(stamps, t0, side="right")) - 1
         last = int(np.searchsorted(stamps, t1, side="left"))
         height, width = self._map(first).flow.shape[:2]
-        start = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
-        at = start.astype(np.float64)
+        moved = np.zeros((height, width, 2))
         valid = np.ones((height, width), np.bool_)
         moving = np.zeros((height, width), np.bool_)
         for index in range(first, last):
             begin, end = int(stamps[index]), int(stamps[index + 1])
             share = (min(end, t1) - max(begin, t0)) / (end - begin)
             flow_map = self._map(index)
-            _carry(flow_map.flow, flow_map.mover, share, at, valid, moving)
-        moved = np.where(valid[..., None], at - start, 0).astype(np.float32)
-        return TrueFlow(moved, valid, moving if flow_map.moving is not None else None)
+            _carry(flow_map.flow, flow_map.mover, share, moved, valid, moving)
+        moved[~valid] = 0
+        told = flow_map.moving is not None
+        return TrueFlow(moved.astype(np.float32), valid, moving if told else None)
 
     def _map(self, index: int) -> _Map:
         if index not in self._kept:
@@ -93,31 +93,31 @@ def _carry(
     flow: NDArray[np.float32],
     mover: NDArray[np.bool_],
     share: float,
-    at: NDArray[np.float64],
+    moved: NDArray[np.float64],
     valid: NDArray[np.bool_],
     moving: NDArray[np.bool_],
 ) -> None:
-    """Move positions by a share of the flow at their nearest pixels, in place.
+    """Move every pixel on, by a share of the flow at the pixel nearest to where it is.
 
     Args:
         flow: (H, W, 2) px.
         mover: (H, W), which of its pixels see a moving object.
         share: of the flow.
-        at: (H, W, 2) px, where each pixel of the start has come to.
-        valid: (H, W), cleared where there is no flow; the position stays there.
+        moved: (H, W, 2) px, how far each pixel has come; added to.
+        valid: (H, W), cleared where there is no flow; the pixel stays there.
         moving: (H, W), set where the nearest pixel sees a moving object.
     """
     height, width = flow.shape[:2]
     for i in range(height):
         for j in range(width):
-            column, row = int(np.rint(at[i, j, 0])), int(np.rint(at[i, j, 1]))
+            column, row = int(np.rint(j + moved[i, j, 0])), int(np.rint(i + moved[i, j, 1]))
             if not (0 <= column < width and 0 <= row < height):
                 valid[i, j] = False
                 continue
             moving[i, j] |= mover[row, column]
             u, v = flow[row, column]
             if np.isfinite(u) and np.isfinite(v) and (u != 0 or v != 0):
-                at[i, j, 0] += share * u
-                at[i, j, 1] += share * v
+                moved[i, j, 0] += share * u
+                moved[i, j, 1] += share * v
             else:
                 valid[i, j] = False
