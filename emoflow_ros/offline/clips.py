@@ -15,6 +15,11 @@ class Clip(Window):
 
     compared: Window
 
+    def since(self, t: int) -> Window:
+        """Return the part from time t (ns) on, at the least the interval that is compared."""
+        part = Window.since(self, min(t, self.compared.t_start))
+        return part if part is self else Clip(part.t_start, part.t_end, part.events, self.compared)
+
 
 def compared_part(window: Window) -> Window:
     """Return the interval that a window's estimate is compared over, with its events."""

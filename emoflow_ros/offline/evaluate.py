@@ -4,6 +4,7 @@ import argparse
 import copy
 import sys
 from collections.abc import Sequence as Ordered
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from emoflow_ros.offline.protocols import (
     PROTOCOLS,
     WINDOWS,
     Plan,
+    adapt_windows,
     make_plan,
 )
 from emoflow_ros.offline.provenance import versions
@@ -109,8 +111,8 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         "--policy",
         default=CAUSAL,
         choices=POLICIES,
-        help="which events belong to an interval: its own, or the published code's fixed number, "
-        "also from the future (default: causal)",
+        help="which events an interval is estimated from: those of a window that ends with it, or "
+        "the published code's fixed number, also from the future (default: causal)",
     )
     add(
         "--timestamps",
@@ -162,8 +164,8 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
 
 def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, overrides(options))
-    if options.protocol != WINDOWS:
-        config = config.with_whole_windows()
+    windows = adapt_windows(config.window, options.protocol, options.policy)
+    config = replace(config, window=windows)
     if options.ablate:
         variants_of(options.ablate, config)  # refused before anything is estimated
     sequence = find_sequence(options.sequence) if options.sequence else None

@@ -1,4 +1,4 @@
-"""Windows for given intervals: of their own events, or clips of a fixed number of events."""
+"""Windows for given intervals: of their own events, with the past, or of a number of events."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -39,6 +39,33 @@ class IntervalSlicer:
                 windows.append(Window(start, end, self._pending[first:last]))
         self._pending = _without_past(self._pending, self._intervals, 0)
         return windows
+
+
+class CausalSlicer:
+    """Cut windows that end with given intervals and last at least `shortest` ns.
+
+    A shorter interval gets events from before it, as far back as the stream goes; none come from
+    after it. Intervals start in order and end at different times; those without any event are
+    left out.
+    """
+
+    def __init__(self, intervals: Sequence[Interval], shortest: int) -> None:
+        self._starts = {end: start for start, end in intervals}
+        self._windows = IntervalSlicer([(min(a, b - shortest), b) for a, b in intervals])
+        self._first: int | None = None
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events and return the windows they complete."""
+        if self._first is None and len(events):
+            self._first = int(events.t[0])
+        clips = [self._clip(window) for window in self._windows.push(events)]
+        return [clip for clip in clips if len(clip.compared.events)]
+
+    def _clip(self, window: Window) -> Clip:
+        assert self._first is not None
+        start = self._starts[window.t_end]
+        window = window.since(min(start, self._first))
+        return Clip(window.t_start, window.t_end, window.events, window.since(start))
 
 
 class ClipSlicer:

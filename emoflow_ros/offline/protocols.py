@@ -12,10 +12,10 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Slicer
 from emoflow_ros.offline.frames import frame_stamps
 from emoflow_ros.offline.intervals import (
+    CausalSlicer,
     ClipSlicer,
     CroppedSlicer,
     Interval,
-    IntervalSlicer,
     with_lead_in,
 )
 from emoflow_ros.offline.published import PUBLISHED, Published
@@ -35,6 +35,9 @@ CAUSAL, PAPER = "causal", "paper"
 POLICIES = (CAUSAL, PAPER)
 _PUBLISHED_STEP = 4
 _LEAD_IN = 4  # windows; a warm start has settled by then
+# An interval is but the end of a window that reaches back. Where it does so by more than this,
+# the change of the motion within it costs more than its further events gain.
+_REACH_PX = 12.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,18 @@ class Plan:
     description: str
     published: Published | None = None
     images: tuple[DsecInterval, ...] = ()
+
+
+def adapt_windows(policy: WindowPolicy, protocol: str, clips: str) -> WindowPolicy:
+    """Limit windows by motion to what a protocol's intervals can use.
+
+    Clips of the published code are taken whole. Causal windows reach back from the end of their
+    interval by 12 px at most, unless the interval itself is longer.
+    """
+    if protocol == WINDOWS:
+        return policy
+    most = 0.0 if clips == PAPER else min(policy.max_displacement_px, _REACH_PX)
+    return replace(policy, max_displacement_px=most)
 
 
 def make_plan(
@@ -76,9 +91,9 @@ def make_plan(
         protocol: one of PROTOCOLS.
         recording: opened.
         truth: of the recording.
-        policy: of the windows of `windows`.
+        policy: of the windows (adapt_windows); intervals take their length from it.
         sequence: limits frames and rows.
-        clips: one of POLICIES: windows of the intervals' own events, or the published code's.
+        clips: one of POLICIES: windows that end with the intervals, or the published code's.
         test_times: DSEC's `<sequence>.csv`, or a folder that holds it.
 
     Raises:
@@ -89,9 +104,9 @@ def make_plan(
     if protocol == WINDOWS:
         plan = _free_windows(truth, policy, clips)
     elif protocol == DSEC:
-        plan = _dsec(recording, truth, sequence, clips, test_times)
+        plan = _dsec(recording, truth, policy, sequence, clips, test_times)
     else:
-        plan = _between_frames(protocol, recording, truth, sequence, clips)
+        plan = _between_frames(protocol, recording, truth, policy, sequence, clips)
     return plan if sequence is None or sequence.rows is None else _cropped(plan, sequence.rows)
 
 
@@ -107,13 +122,16 @@ def _free_windows(truth: Truth, policy: WindowPolicy, clips: str) -> Plan:
     else:
         every = policy.stride_ns / NS_PER_MS
         words = f"windows of {policy.duration_ms:g} ms every {every:g} ms"
-    if policy.max_displacement_px:
-        words += f", of each the latest {policy.max_displacement_px:g} px"
-    return Plan(WindowSlicer(policy), truth, words)
+    return Plan(WindowSlicer(policy), truth, words + _by_motion(policy))
 
 
 def _between_frames(
-    protocol: str, recording: Recording, truth: Truth, sequence: Sequence | None, clips: str
+    protocol: str,
+    recording: Recording,
+    truth: Truth,
+    policy: WindowPolicy,
+    sequence: Sequence | None,
+    clips: str,
 ) -> Plan:
     step = FRAME_STEPS[protocol]
     stamps, source = _stamps(recording, truth)
@@ -131,13 +149,14 @@ def _between_frames(
     if clips == PAPER:
         count = sequence.clip_events if sequence else MVSEC_CLIP
         return Plan(ClipSlicer(intervals, count), truth, words + _clipped(count), published)
-    words += "; policy causal: the events of each and no others"
-    return Plan(IntervalSlicer(intervals), truth, words, published)
+    slicer = CausalSlicer(intervals, policy.duration_ns)
+    return Plan(slicer, truth, words + _causal(policy), published)
 
 
 def _dsec(
     recording: Recording,
     truth: Truth,
+    policy: WindowPolicy,
     sequence: Sequence | None,
     clips: str,
     test_times: Path | None,
@@ -151,10 +170,19 @@ def _dsec(
         count = sequence.clip_events if sequence else DSEC_CLIP
         slicer: Slicer = ClipSlicer(intervals, count)
         return Plan(slicer, truth, words + _clipped(count), published, images)
-    words += "; policy causal: the events of each and no others, "
-    words += f"after a gap up to {_LEAD_IN} windows to warm up on"
-    slicer = IntervalSlicer(with_lead_in(intervals, _LEAD_IN))
+    words += f"{_causal(policy)}; after a gap up to {_LEAD_IN} windows to warm up on"
+    slicer = CausalSlicer(with_lead_in(intervals, _LEAD_IN), policy.duration_ns)
     return Plan(slicer, truth, words, published, images)
+
+
+def _causal(policy: WindowPolicy) -> str:
+    words = f"; policy causal: windows of {policy.duration_ms:g} ms that end with each"
+    return f"{words}{_by_motion(policy)}, or its own events where it is longer"
+
+
+def _by_motion(policy: WindowPolicy) -> str:
+    most = policy.max_displacement_px
+    return f", of each the latest {most:g} px" if most else ""
 
 
 def _clipped(count: int) -> str:

@@ -88,3 +88,21 @@ def test_dsec_flow(dsec, monkeypatch, policy):
         assert [w.events for w in compared] == [2000] * 3
     else:
         assert len(run.windows) > 3  # windows to warm up on before the first interval
+
+
+def test_dsec_windows_end_with_the_intervals(dsec):
+    """135 ms to each interval's end, also those to warm up on; the first from the first event."""
+    with Source(dsec.path).open() as recording:
+        plan = make_plan("dsec", recording, load_truth(recording), WindowPolicy(duration_ms=135.0))
+        events = Events.concatenate(list(recording.event_chunks()))
+    windows = plan.slicer.push(events)
+    first = int(events.t[0])
+    assert {(w.compared.t_start, w.compared.t_end) for w in windows} >= set(DSEC)
+    assert len(windows) > len(DSEC)
+    for w in windows:
+        assert w.t_end == w.compared.t_end
+        start = max(first, w.t_end - 135 * NS_PER_MS)
+        assert w.t_start == min(w.compared.t_start, start)
+        inside = slice(*np.searchsorted(events.t, [w.t_start, w.t_end]))
+        np.testing.assert_array_equal(w.events.t, events.t[inside])
+    assert "windows of 135 ms that end with each, or its own events" in plan.description

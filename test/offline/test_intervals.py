@@ -7,6 +7,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
 from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.intervals import (
+    CausalSlicer,
     ClipSlicer,
     CroppedSlicer,
     IntervalSlicer,
@@ -39,6 +40,43 @@ def test_interval_slicer_on_overlapping_intervals(chunk):
 def test_interval_slicer_leaves_out_what_is_empty_or_not_complete():
     slicer = IntervalSlicer([(0, 10), (20, 30), (35, 50)])
     assert [w.t_start for w in slicer.push(stream([1, 15, 31, 49]))] == [0]
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 100])
+def test_causal_windows_end_with_the_interval_and_reach_back(chunk):
+    """The first one to the stream's first event, the last one no further than its interval."""
+    intervals = [(5, 15), (15, 25), (30, 40), (50, 90)]
+    windows = cut(CausalSlicer(intervals, 20), range(3, 100), chunk)
+    assert [(w.t_start, w.t_end) for w in windows] == [(3, 15), (5, 25), (20, 40), (50, 90)]
+    assert [(w.compared.t_start, w.compared.t_end) for w in windows] == intervals
+    for w in windows:
+        np.testing.assert_array_equal(w.events.t, np.arange(w.t_start, w.t_end))
+        np.testing.assert_array_equal(
+            w.compared.events.t, np.arange(w.compared.t_start, w.compared.t_end)
+        )
+
+
+def test_causal_window_of_an_interval_before_the_first_event():
+    (window,) = CausalSlicer([(5, 15)], 20).push(stream(range(8, 20)))
+    assert (window.t_start, window.t_end) == (5, 15)
+    np.testing.assert_array_equal(window.events.t, np.arange(8, 15))
+
+
+def test_causal_windows_leave_out_what_is_empty_or_not_complete():
+    """At 10 to 20 there is nothing, though the window has the events of 1 and 5."""
+    slicer = CausalSlicer([(0, 10), (10, 20), (20, 30), (30, 50)], 30)
+    assert [w.t_end for w in slicer.push(stream([1, 5, 22, 31, 49]))] == [10, 30]
+
+
+def test_the_latest_part_of_a_causal_window_holds_its_interval():
+    (window,) = CausalSlicer([(20, 30)], 20).push(stream(range(40)))
+    assert window.since(10) is window
+    for since, start in ((15, 15), (20, 20), (26, 20)):
+        part = window.since(since)
+        assert (part.t_start, part.t_end) == (start, 30)
+        np.testing.assert_array_equal(part.events.t, np.arange(start, 30))
+        assert compared_part(part) is window.compared
+    assert (window.compared.t_start, len(window.compared.events)) == (20, 10)
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100])
@@ -102,6 +140,12 @@ def test_cropped_clip_counts_before_the_crop_as_the_published_code_does():
     (clip,) = CroppedSlicer(ClipSlicer([(4, 10)], 10), 9).push(stream(range(20)))
     np.testing.assert_array_equal(clip.events.y, np.arange(2, 9))
     np.testing.assert_array_equal(clip.compared.events.y, np.arange(4, 9))
+
+
+def test_cropped_causal_window():
+    (window,) = CroppedSlicer(CausalSlicer([(5, 10)], 8), 7).push(stream(range(20)))
+    np.testing.assert_array_equal(window.events.y, np.arange(2, 7))
+    np.testing.assert_array_equal(window.compared.events.y, [5, 6])
 
 
 def test_a_window_that_the_crop_empties_stays():

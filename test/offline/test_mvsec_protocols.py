@@ -57,14 +57,21 @@ def sequence(camera: Camera) -> Sequence:
     return Sequence("synthetic", camera, FIRST, LAST, rows=ROWS, clip_events=CLIP)
 
 
-def run_mvsec(mvsec, world, form: str, protocol: str, policy: str, *more):
+class Latest(Known):
+    """Estimates only the last 70 ms of each window, as windows by motion do."""
+
+    def estimate(self, window):
+        return super().estimate(window.since(window.t_end - 70 * NS_PER_MS))
+
+
+def run_mvsec(mvsec, world, form: str, protocol: str, policy: str, *more, estimator=Known):
     data, truth = mvsec[form]
     chosen = sequence(world.camera)
     with Source(data, sequence=chosen).open() as recording:
         files = [truth, mvsec["npz"], mvsec["odom_path"], *more]
         known = load_truth(recording, files)
         plan = make_plan(protocol, recording, known, WindowPolicy(), chosen, clips=policy)
-        return plan, evaluate(recording, Known(world.camera), plan.slicer, plan.truth)
+        return plan, evaluate(recording, estimator(world.camera), plan.slicer, plan.truth)
 
 
 def carried(flow, x, y, t0, t1):
@@ -130,14 +137,36 @@ def test_mvsec_flow(mvsec, world, form, protocol, step, policy):
     assert f"every frame to number {step} after it, 3 intervals of synthetic" in plan.description
 
 
+@pytest.mark.parametrize(
+    ("protocol", "step", "length_ms"), [("mvsec-dt1", 1, 70), ("mvsec-dt4", 4, 200)]
+)
+def test_mvsec_flow_of_windows_by_motion(mvsec, world, protocol, step, length_ms):
+    """They hold the interval at least, and it alone is compared."""
+    _, run = run_mvsec(mvsec, world, "hdf5", protocol, "causal", estimator=Latest)
+    events = mvsec["events"]
+    expected = slow_mvsec(events, mvsec["flow"], step)
+    assert [(w.t_start, w.t_end) for w in run.windows] == [row[0] for row in expected]
+    for window, (_, epe, out, angle, count) in zip(run.windows, expected, strict=True):
+        assert window.flow.pixels == count
+        assert window.flow.epe_px == pytest.approx(epe, rel=1e-4)
+        assert window.flow.pe3 == pytest.approx(out, abs=0.2)
+        assert window.flow.ae_deg == pytest.approx(angle, rel=1e-4)
+        span = (window.t_end - length_ms * NS_PER_MS, window.t_end)
+        inside = slice(*np.searchsorted(events.t, span))
+        assert window.events == (events.y[inside] < ROWS).sum()
+        np.testing.assert_allclose(window.angular, KnownMotion().angular(window.t))
+
+
 def test_windows_of_the_two_policies(mvsec, world):
-    """Causal windows hold the interval's events; published ones 3000, less those of the hood."""
+    """Causal windows hold the last 90 ms; published ones 3000 events; both less the hood's."""
     events = mvsec["events"]
     _, causal = run_mvsec(mvsec, world, "hdf5", "mvsec-dt1", "causal")
     _, paper = run_mvsec(mvsec, world, "hdf5", "mvsec-dt1", "paper")
     for own, clip in zip(causal.windows, paper.windows, strict=True):
         first, last = np.searchsorted(events.t, [own.t_start, own.t_end])
-        assert own.events == (events.y[first:last] < ROWS).sum()
+        past = np.searchsorted(events.t, max(int(events.t[0]), own.t_end - 90 * NS_PER_MS))
+        assert past < first
+        assert own.events == (events.y[past:last] < ROWS).sum()
         half = (CLIP - (last - first)) // 2
         taken = events.y[first - half : last + half] if half > 0 else events.y[last - CLIP : last]
         assert clip.events == (taken < ROWS).sum()

@@ -8,7 +8,12 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.intervals import CroppedSlicer
-from emoflow_ros.offline.protocols import CroppedFlow, frame_intervals, make_plan
+from emoflow_ros.offline.protocols import (
+    CroppedFlow,
+    adapt_windows,
+    frame_intervals,
+    make_plan,
+)
 from emoflow_ros.offline.published import PUBLISHED
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.sequences import SEQUENCES, Sequence, find_sequence
@@ -59,8 +64,29 @@ def test_published_frame_ranges(name, first, last, rows, clip):
 def test_windows_by_motion_are_named(mvsec_file):
     policy = WindowPolicy(stride_ms=30.0, max_displacement_px=16.0)
     with open_recording(mvsec_file) as recording:
-        plan = make_plan("windows", recording, Truth(), policy)
-        assert plan.description == "windows of 90 ms every 30 ms, of each the latest 16 px"
+        free = make_plan("windows", recording, Truth(), policy)
+        between = make_plan("mvsec-dt1", recording, Truth(), policy)
+    assert free.description == "windows of 90 ms every 30 ms, of each the latest 16 px"
+    words = (
+        "policy causal: windows of 90 ms that end with each, of each the latest 16 px, or its own"
+    )
+    assert words in between.description
+
+
+@pytest.mark.parametrize(
+    ("protocol", "clips", "bound", "adapted"),
+    [
+        ("windows", "causal", 32.0, 32.0),
+        ("mvsec-dt1", "causal", 32.0, 12.0),
+        ("dsec", "causal", 8.0, 8.0),
+        ("mvsec-dt4", "causal", 0.0, 0.0),
+        ("mvsec-dt4", "paper", 32.0, 0.0),
+    ],
+)
+def test_windows_by_motion_reach_back_less_far_from_intervals(protocol, clips, bound, adapted):
+    policy = WindowPolicy(duration_ms=135.0, max_displacement_px=bound)
+    expected = WindowPolicy(duration_ms=135.0, max_displacement_px=adapted)
+    assert adapt_windows(policy, protocol, clips) == expected
 
 
 def test_published_figures_stand_beside_dt4_only(mvsec_file):
@@ -119,6 +145,19 @@ def test_mvsec_plan_from_hdf5_frames(mvsec_file):
     assert [(w.t_start - start) // NS_PER_MS for w in windows] == [0, 50, 100, 150, 200, 250]
     assert all(w.t_end - w.t_start == 200 * NS_PER_MS for w in windows)
     assert "every frame to number 4 after it, 6 intervals" in plan.description
+
+
+def test_short_intervals_get_windows_of_the_configured_length(mvsec_file):
+    """From one frame to the next are 50 ms: with 120 ms the window reaches back, not forward."""
+    with open_recording(mvsec_file) as recording:
+        plan = make_plan("mvsec-dt1", recording, Truth(), WindowPolicy(duration_ms=120.0))
+        events = Events.concatenate(list(recording.event_chunks()))
+    start = 100 * NS_PER_S
+    windows = plan.slicer.push(events)
+    spans = [((w.t_start - start) // NS_PER_MS, (w.t_end - start) // NS_PER_MS) for w in windows]
+    assert spans[:4] == [(0, 50), (0, 100), (30, 150), (80, 200)]
+    compared = [(w.compared.t_start - start) // NS_PER_MS for w in windows]
+    assert compared == [0, 50, 100, 150, 200, 250, 300, 350, 400]
 
 
 def test_mvsec_plan_of_too_short_a_recording(mvsec_file):
