@@ -151,7 +151,7 @@ def test_a_camera_known_not_to_turn_gives_its_direction_better():
         linear, _ = run.recording.truth.twist(alone.t)
         true = linear / np.linalg.norm(linear)
         errors.append([np.degrees(np.arccos(e.linear @ true)) for e in (alone, full)])
-    assert all(alone < full < 5 for alone, full in errors[1:])
+    assert all(alone < min(full, 5) for alone, full in errors[1:])
 
 
 def test_two_runs_are_bitwise_equal(calm):
