@@ -8,7 +8,6 @@ import numpy as np
 
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import Window
-from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.results import WindowResult
 from emoflow_ros.offline.tracks import Tracks
 
@@ -66,7 +65,7 @@ class Gallery:
         if result.flow is not None and not self._has_truth:
             self._has_truth = True
             self._clear()
-        example = Example("", compared_part(window), estimate, result, tracks)
+        example = Example("", window, estimate, result, tracks)
         is_best = self._best is None or example.error < self._best.error
         is_bad = len(self._worst) < WORST or example.error > self._worst[-1].error
         is_sampled = self._seen % self._step == 0
