@@ -194,7 +194,7 @@ class EstimatesWriter:
             "events": estimate.quality.events,
             "runtime_s": estimate.quality.runtime_s,
         }
-        if "flow" in self._file:
+        if "flow" in self._datasets:
             flow = estimate.flow
             values["flow"] = flow.displacement(estimate.t_start, estimate.t_end) if flow else np.nan
         if tracks is not None:
@@ -202,9 +202,10 @@ class EstimatesWriter:
             values["track_times_ns"] = tracks.times
             values["track_id"] = tracks.ids
         for name, value in (values | dict(more or {})).items():
-            dataset = self._file[name]
-            dataset.resize(len(dataset) + 1, axis=0)
-            dataset[-1] = value
+            dataset = self._datasets[name]
+            dataset.resize(self._rows + 1, axis=0)
+            dataset[self._rows] = value
+        self._rows += 1
         self._file.flush()
 
     def truncate(self, rows: int) -> None:
