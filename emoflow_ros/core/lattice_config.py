@@ -84,7 +84,7 @@ class LatticeConfig:
         maximum=1e5,
     )
     depth_drift: float = option(
-        0.15,
+        0.3,
         "relative change of the scene's inverse depths between windows that is expected",
         minimum=1e-3,
         maximum=1e3,

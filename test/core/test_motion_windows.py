@@ -19,7 +19,7 @@ from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlice
 
 MS = 1_000_000
 START = 1_500_000_000_000_000_000
-CAMERA = Camera(15, 10, 100.0, 100.0, 7.0, 4.5)  # first parts of 100 events
+CAMERA = Camera(120, 90, 100.0, 100.0, 60.0, 45.0)
 PER_PX = 50  # events
 
 
@@ -93,8 +93,9 @@ def run(path: Path, policy: WindowPolicy, fails=lambda k: False) -> list[Window]
     return exact.windows
 
 
-@pytest.mark.parametrize(("min_count", "first"), [(100, 100), (150, 150)])
-def test_before_the_motion_is_known_a_part_holds_two_events_for_three_pixels(min_count, first):
+@pytest.mark.parametrize(("min_count", "first"), [(100, 1333), (1500, 1500), (3000, 2000)])
+def test_before_the_motion_is_known_a_part_holds_two_thirds_of_the_events(min_count, first):
+    """The window of 200 ms holds 2000."""
     assert len(run(Path([200.0] * 5), policy(min_count=min_count))[0].events) == first
 
 
@@ -123,7 +124,7 @@ def test_slow_motion_gets_the_whole_window():
 def test_few_events_lengthen_a_part():
     """5 events per pixel: 8 px hold 40 of them, 100 are wanted."""
     parts = run(Path([200.0] * 6, per_px=5), policy(8.0, min_count=100, stride_ms=50.0))
-    assert [len(p.events) for p in parts] == [100] * len(parts)
+    assert [len(p.events) for p in parts] == [133] + [100] * (len(parts) - 1)
     assert parts[-1].duration == pytest.approx(0.1, abs=0.002)
 
 
@@ -143,7 +144,7 @@ def test_texture_is_learnt_in_one_window():
 def test_without_an_estimate_parts_grow_to_the_whole_window_and_begin_anew():
     path = Path([100.0] * 9)
     parts = run(path, policy(8.0, duration_ms=200.0, stride_ms=100.0), fails=lambda k: k < 6)
-    assert [len(p.events) for p in parts[:7]] == [100, 200, 400, 800, 1000, 100, 200]
+    assert [len(p.events) for p in parts[:7]] == [667, 1000, 100, 200, 400, 800, 1000]
     assert path.between(parts[7].t_start, parts[7].t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
 
 
@@ -158,12 +159,12 @@ def test_reset_forgets_the_motion_and_resets_the_estimator():
     estimator.reset()
     assert exact.resets == 1
     estimator.estimate(windows[0])  # time has gone back
-    assert len(exact.windows[-1].events) == 120
+    assert len(exact.windows[-1].events) == 2667
 
 
 def test_windows_whose_last_events_lie_at_their_end_have_a_length():
     t = np.full(300, START, np.int64)
-    t[200:] += MS
+    t[50:] += MS
     x = np.zeros(300, np.uint16)
     window = Window(START, START + MS, Events(x, x, t, np.ones(300, np.bool_)))
     exact = ExactEstimator(Path([100.0]))
@@ -192,7 +193,7 @@ def test_parts_move_on_and_depend_on_the_past_only(speeds, bound, failing, kept)
 
 
 def test_nine_tenths_of_the_image_keep_to_the_bound():
-    """A shear: a pixel in column x moves by x / 100 px per window of 1000 events."""
+    """A shear: a pixel in column x moves by x / 100 px in each part."""
 
     class Shear:
         def tracks(self, points, times):
@@ -210,7 +211,7 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
     for _ in range(2):
         estimator.estimate(window)
     # Columns 8, 24, ... 1592: nine tenths are left of 1433.6, which moves by 14.336 px.
-    assert [len(w.events) for w in inner.windows] == [1000, round(1000 * 7.2 / 14.336)]
+    assert [len(w.events) for w in inner.windows] == [667, round(667 * 7.2 / 14.336)]
 
 
 def test_windows_are_taken_whole_unless_a_bound_is_set():
