@@ -1,7 +1,8 @@
 """Compare the profiles side by side on the same simulated windows.
 
-realtime and rigid estimate all 18 windows of a recording, one after the other; the published loop
-starts every window cold and takes minutes for each, so that it is run on the chosen windows only.
+All take windows as long as the published ones, 90 ms, and whole. realtime and rigid estimate all
+18 of a recording, one after the other; the published loop starts every window cold and takes
+minutes for each, so that it is run on the chosen windows only.
 Two tables come out: all windows of each profile, and every profile on the windows of the slow ones.
 Everything runs on one thread. EPE, outliers and angular error are over the pixels with events,
 averaged per window and then over windows; the error of w is over windows and axes, that of v the
@@ -42,6 +43,13 @@ from emoflow_ros.simulation.recording import SimulatedRecording
 
 PROFILES = ("realtime", "rigid", "paper_early_stop", "paper")
 WINDOWS = 18  # of a recording
+
+# The same windows for all: as long as the published ones, and whole.
+PUBLISHED_WINDOWS = {
+    "window.duration_ms": 90.0,
+    "window.stride_ms": 0.0,
+    "window.max_displacement_px": 0.0,
+}
 
 
 def main() -> int:
@@ -98,7 +106,7 @@ def _measure(args: argparse.Namespace) -> None:
         raise InputError("--windows", f"not all within 0 to {WINDOWS - 1}", "give such indices")
     began = time.monotonic()
     use_one_thread()
-    configs = {profile: load_config(profile) for profile in args.profiles}
+    configs = {profile: load_config(profile, PUBLISHED_WINDOWS) for profile in args.profiles}
     left = [job for job in _jobs(args, configs) if not _is_done(args.out / job.file_name, configs)]
     for job in tqdm(left, desc="profiles", file=sys.stderr):
         if time.monotonic() - began >= 60 * args.minutes:

@@ -77,8 +77,8 @@ def command(monkeypatch, tmp_path):
         measured.append(job)
         return measure(job, config)
 
-    def load(profile):
-        return load_config(profile, TINY if profile.startswith("paper") else None)
+    def load(profile, overrides):
+        return load_config(profile, overrides | (TINY if profile.startswith("paper") else {}))
 
     monkeypatch.setattr(profiles, "load_config", load)
     monkeypatch.setattr(profiles, "WINDOWS", 2)
