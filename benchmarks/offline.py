@@ -125,7 +125,6 @@ def _evaluate(paths: OutputPaths, results: Path) -> tuple[float, float]:
 def figures(done: Mapping[str, Any], wall_s: float, cpu_s: float) -> dict[str, Any]:
     """Compute what is reported from a run's report.json, its wall and processor time."""
     estimating = sum(window["runtime_s"] for window in done["windows"])
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     return {
         "windows": done["windows_total"],
         "windows_ok": done["windows_ok"],
@@ -141,7 +140,6 @@ def figures(done: Mapping[str, Any], wall_s: float, cpu_s: float) -> dict[str, A
         "real_time_factor": done["recorded_s"] / wall_s,
         "real_time_factor_of_run": done["wall_real_time_factor"],
         "real_time_factor_of_estimator": done["summary"]["real_time_factor"]["value"],
-        "resident_mb_max": peak * 1024 / 1e6,
         "epe_px": done["summary"]["epe_px"]["value"],
     }
 
@@ -164,7 +162,6 @@ def table(report: Mapping[str, Any]) -> str:
     lines += [f"{name:<32}{seconds:9.1f} s" for name, seconds in report["parts_s"].items()]
     lines += [
         f"{'processor time':<32}{report['processor_s']:9.1f} s",
-        f"{'most memory':<32}{report['resident_mb_max']:9.0f} MB",
         f"{'flow EPE':<32}{report['epe_px']:9.2f} px",
     ]
     return "\n".join(lines)
