@@ -36,7 +36,7 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.provenance import machine, versions
 from emoflow_ros.offline.results import assess
@@ -134,9 +134,8 @@ def record(
     scene: str, seed: int, policy: WindowPolicy, count: int, **options: Any
 ) -> tuple[SimulatedRecording, list[Window]]:
     """Simulate a scene and cut it into `count` windows; `options` go to the simulator."""
-    stride_ms = policy.stride_ms or policy.duration_ms
     # A window is complete with the first event after it, hence the further 10 ms.
-    duration_s = ((count - 1) * stride_ms + policy.duration_ms + 10) / 1e3
+    duration_s = ((count - 1) * policy.stride_ns + policy.duration_ns) / NS_PER_S + 0.01
     recording = simulate(scene, duration_s=duration_s, seed=seed, **options)
     return recording, WindowSlicer(policy).push(recording.events)[:count]
 
