@@ -87,10 +87,10 @@ class RepeatedRecording:
         ]
 
     def windows(self, policy: WindowPolicy) -> dict[int, int]:
-        """Return the time of each window's last event by the window's middle, ns."""
+        """Return the time of each window's last event by the window's end, ns."""
         slicer = WindowSlicer(policy)
         return {
-            (window.t_start + window.t_end) // 2: int(window.events.t[-1])
+            window.t_end: int(window.events.t[-1])
             for end in self.batch_ends
             for window in slicer.push(self.batch(end))
         }

@@ -120,7 +120,7 @@ def figures(expected: Mapping[int, int], observed: Observed) -> dict[str, Any]:
     """Compute everything that is reported.
 
     Args:
-        expected: time of each window's last event by the window's middle, ns.
+        expected: time of each window's last event by the window's end, ns.
         observed: one run over these windows.
 
     Raises:
@@ -129,7 +129,8 @@ def figures(expected: Mapping[int, int], observed: Observed) -> dict[str, Any]:
     if len(observed.publications) < 2:
         raise InputError("replay", "no events came over DDS", "see its message above")
     (first, began), *_, (last, ended) = observed.publications
-    latencies = _latencies_ms(expected, observed)
+    received = _by_window(expected, observed.twists)
+    latencies = _latencies_ms(expected, observed.publications, received)
     measured = [ms for ms in latencies[WARM_UP_WINDOWS:] if ms is not None]
     p50, p95, largest = np.percentile(measured, [50, 95, 100]) if measured else [None] * 3
     samples = observed.samples
@@ -142,7 +143,7 @@ def figures(expected: Mapping[int, int], observed: Observed) -> dict[str, Any]:
         "replayed_at": (last - first) / NS_PER_S / (ended - began),
         "windows": {
             "expected": len(expected),
-            "estimated": len(expected.keys() & observed.twists.keys()),
+            "estimated": len(received),
             "dropped": int(observed.diagnostics["windows_dropped"]),
         },
         "warm_up_ms": latencies[:WARM_UP_WINDOWS],
@@ -154,16 +155,36 @@ def figures(expected: Mapping[int, int], observed: Observed) -> dict[str, Any]:
     }
 
 
-def _latencies_ms(expected: Mapping[int, int], observed: Observed) -> list[float | None]:
+def _by_window(expected: Mapping[int, int], twists: Mapping[int, float]) -> dict[int, float]:
+    """Return the reception of each window's twist by the window's end.
+
+    A twist holds at the middle of the window's latest part, whose length the estimator chooses:
+    not before the middle of the whole window. With strides of at least half a window it belongs
+    to the first window that ends after it.
+    """
+    ends = sorted(expected)
+    owners = np.searchsorted(ends, list(twists), side="right")
+    return {
+        ends[k]: received
+        for k, received in zip(owners, twists.values(), strict=True)
+        if k < len(ends)
+    }
+
+
+def _latencies_ms(
+    expected: Mapping[int, int],
+    publications: Sequence[tuple[int, float]],
+    received: Mapping[int, float],
+) -> list[float | None]:
     """From each window's last event to its twist; None where one of them did not come."""
-    ends = [last for last, _ in observed.publications]
+    ends = [last for last, _ in publications]
     latencies: list[float | None] = []
-    for stamp, last in expected.items():
+    for window, last in expected.items():
         k = int(np.searchsorted(ends, last))
         # What came before the subscription is not known, so the first message bounds nothing.
-        known = 0 < k < len(ends) and stamp in observed.twists
-        published = observed.publications[k][1] if known else None
-        latencies.append(None if published is None else 1e3 * (observed.twists[stamp] - published))
+        known = 0 < k < len(ends) and window in received
+        published = publications[k][1] if known else None
+        latencies.append(None if published is None else 1e3 * (received[window] - published))
     return latencies
 
 
