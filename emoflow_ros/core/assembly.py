@@ -107,3 +107,38 @@ def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) ->
                 band[j, 0] += weight
                 band[j + 2, 0] += weight
                 band[j, 2] -= weight
+
+
+@_compiled
+def add_rows(
+    normal: F64, by_further: F64, weight: F64, r: F64,
+    vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,
+) -> None:  # fmt: skip
+    """Add weighted squares of residuals that each concern one node at one time.
+
+    Args:
+        normal: (nodes, times, 2) derivative of each residual by its node's flow.
+        by_further: (nodes, times, m) derivative by unknowns beside the flow.
+        weight, r: (nodes, times).
+        vector, band: as in `gather_cells`; the vectors get the negative gradient.
+        border: (n, m) second derivatives across.
+        corner, corner_vector: (m, m) and (m,), of the other unknowns.
+    """
+    nodes, times, further = by_further.shape
+    for n in range(nodes):
+        for q in range(times):
+            i = 2 * (n * times + q)
+            x, y = weight[n, q] * normal[n, q, 0], weight[n, q] * normal[n, q, 1]
+            vector[i] -= x * r[n, q]
+            vector[i + 1] -= y * r[n, q]
+            band[i, 0] += x * normal[n, q, 0]
+            band[i, 1] += x * normal[n, q, 1]
+            band[i + 1, 0] += y * normal[n, q, 1]
+            row = by_further[n, q]
+            for a in range(further):
+                weighted = weight[n, q] * row[a]
+                border[i, a] += weighted * normal[n, q, 0]
+                border[i + 1, a] += weighted * normal[n, q, 1]
+                corner_vector[a] -= weighted * r[n, q]
+                for b in range(further):
+                    corner[a, b] += weighted * row[b]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core import assembly, kernels
 from emoflow_ros.core.lattice import Lattice
 
-STIFFNESS_STRIDE = 2  # events per event whose stiffness is taken: the most costly part
+STIFFNESS_STRIDE = 4  # events per event whose stiffness is taken: the most costly part
 
 _DENSITY_CELL = 4  # px: density is counted in cells of this size ...
 _DENSITY_SIGMA = 2.0  # ... and smoothed by this many of them

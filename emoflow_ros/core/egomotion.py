@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core import constraints
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.epipolar import motion_matrices
 from emoflow_ros.core.lattice import Lattice
@@ -38,6 +39,15 @@ class Residuals:
     r: Array
     by_flow: Array
     by_motion: Array
+
+    @classmethod
+    def empty(cls, nodes: int, times: int) -> "Residuals":
+        """Make room for them."""
+        return cls(
+            np.empty((nodes, times)),
+            np.empty((nodes, times, 2)),
+            np.empty((nodes, times, MOTION_UNKNOWNS)),
+        )
 
 
 @dataclass(frozen=True)
@@ -110,12 +120,12 @@ class NodeEpipolar:
             flow: (nodes, times, 2) px per window.
             motion: the egomotion.
         """
-        translational, line, norm = self._translation(flow, motion)
-        normal = np.stack([-line[..., 1], line[..., 0]], -1) / norm[..., None]
-        r = (normal * translational).sum(-1)
-        turned = np.stack([translational[..., 1], -translational[..., 0]], -1)
-        by_line = (turned - (r / norm)[..., None] * line) / norm[..., None]
-        return Residuals(r, normal, self._by_motion(normal, by_line, np.zeros_like(r)))
+        residuals = Residuals.empty(*flow.shape[:2])
+        constraints.across_lines(
+            flow, self.a, self.b, self._basis, motion.w, motion.v, self.soft,
+            residuals.r, residuals.by_flow, residuals.by_motion,
+        )  # fmt: skip
+        return residuals
 
     def structure_residuals(self, flow: Array, motion: Motion, inverse_depth: Array) -> Residuals:
         """Evaluate and linearise the flow along the epipolar lines against a known depth.
@@ -124,29 +134,12 @@ class NodeEpipolar:
             flow, motion: as in `residuals`.
             inverse_depth: (nodes,), see `structure.Structure`.
         """
-        translational, line, norm = self._translation(flow, motion)
-        along = line / norm[..., None]
-        length = (along * translational).sum(-1)
-        known = inverse_depth[:, None] * norm
-        across = translational - length[..., None] * along
-        stretch = motion.speed * inverse_depth[:, None, None] * along
-        by_line = across / norm[..., None] - stretch
-        r = length - motion.speed * known
-        return Residuals(r, along, self._by_motion(along, by_line, -known))
-
-    def _translation(self, flow: Array, motion: Motion) -> tuple[Array, Array, Array]:
-        """Return translational flow and epipolar line, (nodes, times, 2), and the line's norm."""
-        line = np.einsum("nij,tj->nti", self.a, self._basis @ motion.v)
-        norm = np.sqrt((line**2).sum(-1) + self.soft**2)
-        return flow - self.rotational_flow(motion), line, norm
-
-    def _by_motion(self, by_flow: Array, by_line: Array, by_speed: Array) -> Array:
-        """Chain derivatives by flow and line to those by the motion's unknowns."""
-        by_w = -np.einsum("nti,nij->ntj", by_flow, self.b)
-        by_v = np.einsum("nti,nij->ntj", by_line, self.a)
-        shape = (*by_speed.shape, 3 * CONTROL_POINTS)
-        points = [np.einsum("tk,ntj->ntkj", self._basis, d).reshape(shape) for d in (by_w, by_v)]
-        return np.concatenate([*points, by_speed[..., None]], axis=-1)
+        residuals = Residuals.empty(*flow.shape[:2])
+        constraints.along_lines(
+            flow, self.a, self.b, self._basis, motion.w, motion.v, self.soft, motion.speed,
+            inverse_depth, residuals.r, residuals.by_flow, residuals.by_motion,
+        )  # fmt: skip
+        return residuals
 
     def rotational_flow(self, motion: Motion) -> Array:
         """Flow of the motion's rotation, (nodes, times, 2) px per window."""
@@ -187,20 +180,13 @@ class NodeEpipolar:
         Returns:
             w (3,) rad per window, and the robust cost, comparable to those of `search`.
         """
-        weight = self.usable.astype(np.float64)
-        w = np.zeros(3)
-        pulled = np.swapaxes(self.b, 1, 2) @ information  # (nodes, 3, 2)
-        stiffness = pulled @ self.b
-        target = (pulled @ flow[..., None])[..., 0]
-        for _ in range(2 * _REWEIGHTINGS):
-            matrix = np.tensordot(weight, stiffness, 1)
-            w = np.linalg.solve(_regular(matrix), weight @ target)
-            left = flow - self.b @ w
-            r2 = (left**2).sum(-1)
-            scale = max(self.inlier_px**2, 2 * float(np.median(r2[self.usable])))
-            weight = self.usable / (1 + r2 / scale) ** 2
-        squares = ((left[:, None] @ information)[:, 0] * left).sum(-1)
-        return w, float((self.usable * squares / (1 + r2 / self.inlier_px**2)).sum())
+        return constraints.best_rotation(
+            self.b, flow, self._counted(information), self.usable, self.inlier_px,
+            2 * _REWEIGHTINGS,
+        )  # fmt: skip
+
+    def _counted(self, information: Array) -> Array:
+        return self.usable[:, None, None] * information
 
     def _normal_fields(self, v: Array) -> Array:
         """Unit normals of the epipolar lines for directions v (M, 3), (M, nodes, 2)."""
@@ -212,28 +198,12 @@ class NodeEpipolar:
         self, normal: Array, flow: Array, information: Array
     ) -> tuple[Array, Array]:
         """Fit w (M, 3) for each field of normals (M, nodes, 2); costs (M,)."""
-        x, y = normal[..., 0], normal[..., 1]
-        rows = x[..., None] * self.b[:, 0] + y[..., None] * self.b[:, 1]
-        target = x * flow[:, 0] + y * flow[:, 1]
-        evidence = self.usable * (
-            x * x * information[:, 0, 0]
-            + 2 * x * y * information[:, 0, 1]
-            + y * y * information[:, 1, 1]
-        )
-        weight = evidence
-        for _ in range(_REWEIGHTINGS):
-            weighted = np.swapaxes(rows * weight[..., None], 1, 2)
-            matrix = weighted @ rows
-            w = np.linalg.solve(_regular(matrix), weighted @ target[..., None])
-            r2 = ((target - (rows @ w)[..., 0]) / self.inlier_px) ** 2
-            weight = evidence / (1 + r2) ** 2
-        return w[..., 0], self.inlier_px**2 * (evidence * r2 / (1 + r2)).sum(-1)
-
-
-def _regular(matrix: Array) -> Array:
-    """Keep matrices (..., 3, 3) of too little evidence from being singular."""
-    trace = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
-    return matrix + (1e-9 * trace + 1e-9) * np.eye(3)
+        w, cost = np.empty((len(normal), 3)), np.empty(len(normal))
+        constraints.best_rotations(
+            normal, self.b, flow, self._counted(information), self.inlier_px, _REWEIGHTINGS,
+            w, cost,
+        )  # fmt: skip
+        return w, cost
 
 
 def _hemisphere(count: int) -> Array:

@@ -76,6 +76,36 @@ def warp(
 
 
 @_fast
+def material_derivative(flow: F32, per_px: F32, out: F32) -> None:
+    """Differentiate a field along its own motion, du/ds + (u . grad) u, over the whole window.
+
+    Central differences of the mean in space, one-sided at the border.
+
+    Args:
+        flow: (columns, rows, times, 2) px per window.
+        per_px: (2,) lattice cells per pixel in x and y.
+        out: (columns, rows, 2) px per window squared, written.
+    """
+    columns, rows, times, _ = flow.shape
+    mean = np.zeros((columns, rows, 2), np.float32)
+    for q in range(times):
+        mean += flow[:, :, q] / np.float32(times)
+    for c in range(columns):
+        before, after = max(c - 1, 0), min(c + 1, columns - 1)
+        per_x = per_px[0] / np.float32(after - before)
+        for r in range(rows):
+            above, below = max(r - 1, 0), min(r + 1, rows - 1)
+            per_y = per_px[1] / np.float32(below - above)
+            for d in range(2):
+                out[c, r, d] = (
+                    flow[c, r, -1, d]
+                    - flow[c, r, 0, d]
+                    + mean[c, r, 0] * per_x * (mean[after, r, d] - mean[before, r, d])
+                    + mean[c, r, 1] * per_y * (mean[c, below, d] - mean[c, above, d])
+                )
+
+
+@_fast
 def vote(position: F32, weights: F32, scale: float, image: F32) -> None:
     """Add weighted events to an image by bilinear voting; the image is cleared first.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from emoflow_ros.core import assembly
+from emoflow_ros.core import assembly, kernels
 from emoflow_ros.core.interpolation import bilinear
 
 _MOST_NODES = 18
@@ -100,12 +100,9 @@ class Lattice:
 
     def acceleration(self, flow: NDArray[np.float32]) -> NDArray[np.float32]:
         """Material derivative du/ds + (u . grad) u at the nodes, (columns, rows, 2)."""
-        mean = flow.mean(axis=2)
-        change = flow[:, :, -1] - flow[:, :, 0]
-        along_x = np.gradient(mean, axis=0) * self.per_px[0]
-        along_y = np.gradient(mean, axis=1) * self.per_px[1]
-        result: NDArray[np.float32] = change + mean[..., :1] * along_x + mean[..., 1:] * along_y
-        return result.astype(np.float32)
+        result = np.empty((self.columns, self.rows, 2), np.float32)
+        kernels.material_derivative(flow, self.per_px, result)
+        return result
 
     def sample(
         self, flow: NDArray[np.float32], points: NDArray[np.float64], s: float

@@ -113,7 +113,7 @@ class LatticeFit:
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.information = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
         self.step_px = 0.0
-        self._equations = NormalEquations(lattice)
+        self._equations = NormalEquations(lattice, MOTION_UNKNOWNS)
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
         roughness = second.T @ second + 0.1 * first.T @ first
@@ -156,54 +156,37 @@ class LatticeFit:
         """Step the flow towards a pure rotation, and the rotation towards the flow."""
         epipolar = self.epipolar
         motion = self._require_motion()
-        flow = self.node_flow
-        rotation = epipolar.rotational_flow(motion)
-        residual = flow - rotation
+        residual = self.node_flow - epipolar.rotational_flow(motion)
         stiffness = _ROTATION_STIFFNESS * self.config.dec_weight
         weight = stiffness * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
-        by_w = -epipolar.rotational_jacobian()  # (nodes, times, 2, 12)
-        corner: Array = self._roughness * self._rotation_stiffness
-        corner_vector = -corner @ motion.w.ravel()
-        border = np.zeros((self.lattice.unknowns, 3 * CONTROL_POINTS))
-        for d in range(2):
-            axis = np.zeros((*weight.shape, 2))
-            axis[..., d] = 1.0
-            equations.add_rows(axis, weight, residual[..., d])
-            rows = by_w[:, :, d]
-            weighted = weight[..., None] * rows
-            border[d::2] = weighted.reshape(-1, 3 * CONTROL_POINTS)
-            corner += np.einsum("nti,ntj->ij", weighted, rows)
-            corner_vector -= np.einsum("nti,nt->i", weighted, residual[..., d])
-        step, change, information = equations.solve_bordered(border, corner, corner_vector)
         half = 3 * CONTROL_POINTS
-        self.information = np.eye(MOTION_UNKNOWNS)
-        self.information[:half, :half] = information
-        self.motion = motion.moved(np.concatenate([change, np.zeros(half + 1)]))
+        by_w = -epipolar.rotational_jacobian()  # (nodes, times, 2, 12)
+        for d in range(2):
+            part = Residuals.empty(*weight.shape)
+            part.r[:] = residual[..., d]
+            part.by_flow[:] = np.eye(2)[d]
+            part.by_motion[..., :half], part.by_motion[..., half:] = by_w[:, :, d], 0.0
+            equations.add_rows(part.by_flow, part.by_motion, weight, part.r)
+        roughness = self._roughness * self._rotation_stiffness
+        equations.corner[:half, :half] += roughness
+        equations.corner_vector[:half] -= roughness @ motion.w.ravel()
+        equations.corner[half:, half:] = np.eye(MOTION_UNKNOWNS - half)  # v is not asked for
+        step, change, self.information = equations.solve_bordered()
+        self.motion = motion.moved(change)
         self._move(step)
 
     def step_coupled(self, prior: MotionPrior | None) -> None:
         """Step flow and egomotion together, tied by the epipolar constraint."""
         motion = self._require_motion()
-        border = np.zeros((self.lattice.unknowns, MOTION_UNKNOWNS))
-        corner = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
-        corner_vector = np.zeros(MOTION_UNKNOWNS)
         dec = self.epipolar.residuals(self.node_flow, motion)
         terms = [(dec, self.config.dec_weight * self.epipolar.robust_weight(dec.r))]
         if self.structure is not None:
             terms.append(self._structure_term(motion, self.structure))
         for residuals, weight in terms:
-            self._equations.add_rows(residuals.by_flow, weight, residuals.r)
-            weighted = weight[..., None] * residuals.by_motion
-            border += (residuals.by_flow[..., None] * weighted[:, :, None, :]).reshape(border.shape)
-            rows = residuals.by_motion.reshape(-1, MOTION_UNKNOWNS)
-            weighted = weighted.reshape(-1, MOTION_UNKNOWNS)
-            corner += weighted.T @ rows
-            corner_vector -= weighted.T @ residuals.r.ravel()
-        self._add_motion_priors(motion, prior, corner, corner_vector)
-        step, change, self.information = self._equations.solve_bordered(
-            border, corner, corner_vector
-        )
+            self._equations.add_rows(residuals.by_flow, residuals.by_motion, weight, residuals.r)
+        self._add_motion_priors(motion, prior)
+        step, change, self.information = self._equations.solve_bordered()
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -222,10 +205,9 @@ class LatticeFit:
     def _rotation_stiffness(self) -> float:
         return self.config.spline_roughness * self.epipolar.px_per_rad**2
 
-    def _add_motion_priors(
-        self, motion: Motion, prior: MotionPrior | None, corner: Array, corner_vector: Array
-    ) -> None:
+    def _add_motion_priors(self, motion: Motion, prior: MotionPrior | None) -> None:
         """Add the spline's smoothness, v's scale and the belief of earlier windows."""
+        corner, corner_vector = self._equations.corner, self._equations.corner_vector
         points = 3 * CONTROL_POINTS
         of_w, of_v = slice(0, points), slice(points, 2 * points)
         # v has no unit of its own: its stiffness goes by the evidence at hand.

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, lapack
 
+from emoflow_ros.core import assembly
 from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
@@ -16,21 +17,31 @@ class NotPositiveDefiniteError(np.linalg.LinAlgError):
 class NormalEquations:
     """A quadratic model of the cost around a field: step^T H step / 2 - vector^T step.
 
+    Args:
+        lattice: of the field.
+        further: number m of unknowns beside the field.
+
     Attributes:
         vector: (n,) the negative gradient.
         band: (n, bandwidth + 1) H in lower band storage (LAPACK's, transposed):
             band[j, i - j] is entry (i, j).
+        border: (n, m) second derivatives by field and further unknowns.
+        corner: (m, m) second derivatives by the further unknowns.
+        corner_vector: (m,) their negative gradient.
     """
 
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: Lattice, further: int) -> None:
         self.lattice = lattice
         self.vector = np.zeros(lattice.unknowns)
         self.band = np.zeros((lattice.unknowns, lattice.bandwidth + 1))
+        self.border = np.zeros((lattice.unknowns, further))
+        self.corner = np.zeros((further, further))
+        self.corner_vector = np.zeros(further)
 
     def clear(self) -> None:
         """Start anew."""
-        self.vector[:] = 0.0
-        self.band[:] = 0.0
+        for part in (self.vector, self.band, self.border, self.corner, self.corner_vector):
+            part[:] = 0.0
 
     def node_information(self) -> Array:
         """Blocks of H for a flow constant over the window, (nodes, 2, 2), neighbours fixed."""
@@ -41,18 +52,18 @@ class NormalEquations:
         xy = band[:, :, 0, 1].sum(1) + band[:, :-1, 0, 3].sum(1) + band[:, :-1, 1, 1].sum(1)
         return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
 
-    def add_rows(self, normal: Array, weight: Array, r: Array) -> None:
+    def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
         """Add weighted squares of residuals that each concern one node at one time.
 
         Args:
             normal: (nodes, times, 2) derivative of each residual by its node's flow.
+            by_further: (nodes, times, m) derivative by the further unknowns.
             weight, r: (nodes, times).
         """
-        weighted = weight[..., None] * normal
-        self.vector -= (weighted * r[..., None]).ravel()
-        self.band[0::2, 0] += (weighted[..., 0] * normal[..., 0]).ravel()
-        self.band[1::2, 0] += (weighted[..., 1] * normal[..., 1]).ravel()
-        self.band[0::2, 1] += (weighted[..., 0] * normal[..., 1]).ravel()
+        assembly.add_rows(
+            normal, by_further, weight, r,
+            self.vector, self.band, self.border, self.corner, self.corner_vector,
+        )  # fmt: skip
 
     def solve(self) -> Array:
         """Return the step (n,) to the minimum.
@@ -65,15 +76,8 @@ class NormalEquations:
             raise NotPositiveDefiniteError
         return step
 
-    def solve_bordered(
-        self, border: Array, corner: Array, corner_vector: Array
-    ) -> tuple[Array, Array, Array]:
-        """Solve for the field and m further unknowns at once, by the Schur complement.
-
-        Args:
-            border: (n, m) second derivatives across.
-            corner: (m, m) second derivatives of the further unknowns.
-            corner_vector: (m,) their negative gradient.
+    def solve_bordered(self) -> tuple[Array, Array, Array]:
+        """Solve for the field and the further unknowns at once, by the Schur complement.
 
         Returns:
             The steps (n,) and (m,), and the (m, m) information that is left on the further
@@ -85,15 +89,17 @@ class NormalEquations:
         factor, info = lapack.dpbtrf(self.band.T, lower=1)
         if info != 0:
             raise NotPositiveDefiniteError
-        both = np.column_stack([self.vector, border])
-        solved, _ = lapack.dpbtrs(factor, both, lower=1)
-        information = corner - border.T @ solved[:, 1:]
-        information = 0.5 * (information + information.T)
+        both = np.empty((len(self.vector), 1 + len(self.corner)), order="F")
+        both[:, 0], both[:, 1:] = self.vector, self.border
+        both, _ = lapack.dtbtrs(factor, both, uplo="L", overwrite_b=1)
+        of_field, across = both[:, 0], both[:, 1:]
+        information = self.corner - across.T @ across
         try:
-            further = cho_solve(cho_factor(information), corner_vector - border.T @ solved[:, 0])
+            further = cho_solve(cho_factor(information), self.corner_vector - across.T @ of_field)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefiniteError from error
-        step = solved[:, 0] - solved[:, 1:] @ further
+        left = (of_field - across @ further)[:, None]
+        step = lapack.dtbtrs(factor, left, uplo="L", trans="T")[0][:, 0]
         if not np.isfinite(step).all():
             raise NotPositiveDefiniteError
         return step, further, information

@@ -31,7 +31,7 @@ def constant(u, v, lattice=LATTICE):
 
 
 def equations_at(contrast, events, flow) -> tuple[float, NormalEquations]:
-    equations = NormalEquations(contrast.lattice)
+    equations = NormalEquations(contrast.lattice, 0)
     value = contrast.linearise(events, flow, equations.vector, equations.band)
     return value, equations
 

@@ -196,6 +196,36 @@ def test_score_and_search_agree(epipolar):
         assert cost == pytest.approx(costs[k])
 
 
+def slow_best_rotation(rows, target, evidence, inlier):
+    """Least squares for r = target - rows . w, reweighted thrice after Geman and McClure."""
+    weight = evidence
+    for _ in range(4):
+        root = np.sqrt(weight)
+        w = np.linalg.lstsq(root[:, None] * rows, root * target, rcond=None)[0]
+        r2 = ((target - rows @ w) / inlier) ** 2
+        weight = evidence / (1 + r2) ** 2
+    return w, inlier**2 * np.sum(evidence * r2 / (1 + r2))
+
+
+def test_score_and_search_are_reweighted_least_squares(epipolar):
+    """On a flow with errors and outliers, seen by edges of all directions."""
+    rng = np.random.default_rng(12)
+    v, w, inverse_depth = next(random_motions(12))
+    flow = with_outliers(motion_field(epipolar, v, w, inverse_depth), rng)
+    flow = flow + rng.normal(scale=0.3, size=flow.shape)
+    edges = rng.normal(size=(NODES, 2, 2))
+    information = edges @ np.swapaxes(edges, 1, 2)
+    line = epipolar.a @ v
+    normal = np.stack([-line[:, 1], line[:, 0]], -1)
+    normal /= np.sqrt((line**2).sum(-1) + epipolar.soft**2)[:, None]
+    rows = np.einsum("ni,nij->nj", normal, epipolar.b)
+    evidence = np.einsum("ni,nij,nj->n", normal, information, normal)
+    expected = slow_best_rotation(rows, (normal * flow).sum(-1), evidence, INLIER_PX)
+    found, cost = epipolar.score(v, flow, information)
+    np.testing.assert_allclose(found, expected[0], rtol=1e-5, atol=1e-8)
+    assert cost == pytest.approx(expected[1], rel=1e-6)
+
+
 @pytest.mark.parametrize("outliers", [False, True])
 def test_rotation(epipolar, outliers):
     rng = np.random.default_rng(9)

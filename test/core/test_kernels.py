@@ -160,6 +160,16 @@ def smooth_image(rng, shape):
     return image
 
 
+def test_material_derivative_is_that_of_numpy_gradients(rng):
+    flow = rng.normal(size=(5, 4, 3, 2)).astype(np.float32)
+    mean = flow.mean(axis=2)
+    along = [np.gradient(mean, axis=d) * LATTICE.per_px[d] for d in range(2)]
+    expected = flow[:, :, -1] - flow[:, :, 0] + sum(mean[..., d : d + 1] * along[d] for d in (0, 1))
+    found = np.empty((5, 4, 2), np.float32)
+    kernels.material_derivative(flow, LATTICE.per_px, found)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 @pytest.mark.parametrize("scale", [0.5, 1.0])
 def test_pull_and_gathering_are_the_dense_sums_over_events(rng, scale):
     events = random_events(rng)

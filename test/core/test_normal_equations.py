@@ -22,7 +22,7 @@ def dense(band):
 def equations():
     """Random positive definite equations that fill the band."""
     rng = np.random.default_rng(1)
-    equations = NormalEquations(LATTICE)
+    equations = NormalEquations(LATTICE, BORDER)
     factor = np.tril(np.triu(rng.normal(size=(N, N)), -LATTICE.bandwidth)) + 4 * np.eye(N)
     matrix = factor @ factor.T
     for d in range(LATTICE.bandwidth + 1):
@@ -32,12 +32,12 @@ def equations():
     return equations
 
 
-def border(rng):
+def add_border(equations, rng):
     """Second derivatives with and among further unknowns, positive definite as a whole."""
-    across = rng.normal(size=(N, BORDER))
     corner = rng.normal(size=(BORDER, BORDER))
-    corner = corner @ corner.T + 200 * np.eye(BORDER)
-    return across, corner, rng.normal(size=BORDER)
+    equations.border[:] = rng.normal(size=(N, BORDER))
+    equations.corner[:] = corner @ corner.T + 200 * np.eye(BORDER)
+    equations.corner_vector[:] = rng.normal(size=BORDER)
 
 
 def test_solve_is_the_dense_solution_and_keeps_the_equations(equations):
@@ -49,10 +49,12 @@ def test_solve_is_the_dense_solution_and_keeps_the_equations(equations):
 
 
 def test_bordered_solution_is_that_of_the_full_system(equations):
-    across, corner, corner_vector = border(np.random.default_rng(2))
-    full = np.block([[dense(equations.band), across], [across.T, corner]])
-    expected = np.linalg.solve(full, np.concatenate([equations.vector, corner_vector]))
-    step, further, information = equations.solve_bordered(across, corner, corner_vector)
+    add_border(equations, np.random.default_rng(2))
+    full = np.block(
+        [[dense(equations.band), equations.border], [equations.border.T, equations.corner]]
+    )
+    expected = np.linalg.solve(full, np.concatenate([equations.vector, equations.corner_vector]))
+    step, further, information = equations.solve_bordered()
     np.testing.assert_allclose(step, expected[:N], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(further, expected[N:], rtol=1e-8, atol=1e-10)
     # Information left after marginalising the field: the inverse of the covariance's block.
@@ -62,34 +64,45 @@ def test_bordered_solution_is_that_of_the_full_system(equations):
 
 def test_a_border_of_nothing_changes_nothing(equations):
     expected = equations.solve()
-    step, further, information = equations.solve_bordered(
-        np.zeros((N, BORDER)), 2 * np.eye(BORDER), np.arange(BORDER, dtype=float)
-    )
+    equations.corner[:] = 2 * np.eye(BORDER)
+    equations.corner_vector[:] = np.arange(BORDER)
+    step, further, information = equations.solve_bordered()
     np.testing.assert_allclose(step, expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(further, np.arange(BORDER) / 2)
     np.testing.assert_allclose(information, 2 * np.eye(BORDER))
 
 
 def test_rows_are_weighted_squares_of_residuals(equations):
-    """Cost: weight / 2 * (r + normal . step)^2, for each node and time."""
+    """Cost: weight / 2 * (r + normal . step + by_further . further)^2, for each node and time."""
     rng = np.random.default_rng(3)
     nodes, times = LATTICE.columns * LATTICE.rows, LATTICE.times
     normal, weight = rng.normal(size=(nodes, times, 2)), rng.random((nodes, times))
-    r = rng.normal(size=(nodes, times))
+    by_further, r = rng.normal(size=(nodes, times, BORDER)), rng.normal(size=(nodes, times))
     matrix, vector = dense(equations.band), equations.vector.copy()
-    equations.add_rows(normal, weight, r)
+    add_border(equations, rng)
+    border, corner = equations.border.copy(), equations.corner.copy()
+    corner_vector = equations.corner_vector.copy()
+    equations.add_rows(normal, by_further, weight, r)
     jacobian = np.zeros((nodes * times, N))
     for k, row in enumerate(normal.reshape(-1, 2)):
         jacobian[k, 2 * k : 2 * k + 2] = row
+    further, residual = by_further.reshape(-1, BORDER), r.ravel()
     weighted = weight.ravel()[:, None] * jacobian
-    np.testing.assert_allclose(dense(equations.band), matrix + jacobian.T @ weighted, atol=1e-12)
-    np.testing.assert_allclose(equations.vector, vector - weighted.T @ r.ravel(), atol=1e-12)
+    on_further = weight.ravel()[:, None] * further
+    for found, expected in (
+        (dense(equations.band), matrix + jacobian.T @ weighted),
+        (equations.vector, vector - weighted.T @ residual),
+        (equations.border, border + weighted.T @ further),
+        (equations.corner, corner + on_further.T @ further),
+        (equations.corner_vector, corner_vector - on_further.T @ residual),
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("times", [2, 3])
 def test_node_information_is_that_of_a_flow_constant_in_time(times):
     lattice = Lattice(60, 50, 4, 3, times)
-    equations = NormalEquations(lattice)
+    equations = NormalEquations(lattice, 0)
     block = 2 * times
     rng = np.random.default_rng(4)
     blocks = rng.normal(size=(12, block, block))
@@ -103,21 +116,26 @@ def test_node_information_is_that_of_a_flow_constant_in_time(times):
 
 
 def test_clear_starts_anew(equations):
+    add_border(equations, np.random.default_rng(7))
     equations.clear()
     assert not equations.band.any() and not equations.vector.any()
+    for part in (equations.border, equations.corner, equations.corner_vector):
+        assert not part.any()
 
 
 def test_no_minimum_is_an_error(equations):
     equations.band[5, 0] = -1.0
     with pytest.raises(NotPositiveDefiniteError):
         equations.solve()
+    add_border(equations, np.random.default_rng(5))
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered(*border(np.random.default_rng(5)))
+        equations.solve_bordered()
 
 
 def test_a_singular_corner_is_an_error(equations):
+    equations.corner_vector[:] = 1.0
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered(np.zeros((N, BORDER)), np.zeros((BORDER, BORDER)), np.ones(BORDER))
+        equations.solve_bordered()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -125,10 +143,12 @@ def test_values_that_are_not_finite_are_an_error(equations, bad):
     equations.vector[3] = bad
     with pytest.raises(NotPositiveDefiniteError):
         equations.solve()
+    add_border(equations, np.random.default_rng(6))
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered(*border(np.random.default_rng(6)))
+        equations.solve_bordered()
 
 
 def test_a_saddle_is_no_minimum(equations):
+    equations.corner[:] = -np.eye(BORDER)
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered(np.zeros((N, 2)), -np.eye(2), np.ones(2))
+        equations.solve_bordered()
