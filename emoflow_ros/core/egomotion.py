@@ -25,6 +25,9 @@ _REWEIGHTINGS = 4
 
 MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
 
+# Derivatives by a constant (w, v) from those by all control points, (24, 6).
+_CONSTANT = np.kron(np.eye(2), np.tile(np.eye(3), (CONTROL_POINTS, 1)))
+
 
 @dataclass(frozen=True)
 class Residuals:
@@ -187,6 +190,34 @@ class NodeEpipolar:
 
     def _counted(self, information: Array) -> Array:
         return self.usable[:, None, None] * information
+
+    def turning(self, flow: Array, information: Array, v: Array) -> float:
+        """Measure by Wald's statistic whether the camera turns at all.
+
+        Args:
+            flow, information: as in `search`.
+            v: (3,) unit direction, where the robust fit of the motion (w, v) to the flow starts.
+
+        Returns:
+            w^T C^-1 w / 3 with the covariance C of the fitted w, v unknown: 1 on average for a
+            camera that does not turn.
+        """
+        all_times = np.repeat(flow[:, None], len(self._basis), axis=1)
+        w, matrix = np.zeros(3), np.eye(6)
+        for _ in range(_REWEIGHTINGS):
+            residuals = self.residuals(all_times, Motion.constant(w, v))
+            r, normal = residuals.r[:, :1], residuals.by_flow[:, 0]
+            rows = residuals.by_motion[:, 0, :-1] @ _CONSTANT
+            evidence = ((normal[:, None] @ information)[:, 0] * normal).sum(-1, keepdims=True)
+            weighted = evidence * self.robust_weight(r) * rows
+            matrix = weighted.T @ rows
+            matrix[3:, 3:] += np.trace(matrix[3:, 3:]) * np.outer(v, v)  # its length is unknown
+            matrix += (1e-9 * np.trace(matrix) + 1e-12) * np.eye(6)
+            step = -np.linalg.solve(matrix, weighted.T @ r)[:, 0]
+            w, v = w + step[:3], v + step[3:]
+            v = v / np.linalg.norm(v)
+        of_w = matrix[:3, :3] - matrix[:3, 3:] @ np.linalg.solve(matrix[3:, 3:], matrix[3:, :3])
+        return float(w @ of_w @ w) / 3
 
     def _normal_fields(self, v: Array) -> Array:
         """Unit normals of the epipolar lines for directions v (M, 3), (M, nodes, 2)."""

@@ -229,7 +229,7 @@ class LatticeEstimator:
         after = self._select(free, present, w)
         if rotates and after is not MotionModel.ROTATION:
             fit.motion = Motion.constant(w, present)
-        return after is not before or (switch and not rotates)
+        return (after is MotionModel.ROTATION) is not rotates or (switch and not rotates)
 
     def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
         before = self._selector.model

@@ -91,7 +91,8 @@ class LatticeFit:
         structure: inverse depths known from earlier windows, or None.
         straight: whether the motion is a pure translation.
         evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
-        information: (25, 25) on the motion's unknowns after the last step with a motion.
+        information: (25, 25) on the motion's unknowns after the last step with a motion. That the
+            motion is straight adds to it only where it is known, not where the evidence chose it.
         step_px: root mean square of the last step of the flow.
     """
 
@@ -118,6 +119,9 @@ class LatticeFit:
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
         roughness = second.T @ second + 0.1 * first.T @ first
         self._roughness = np.kron(roughness, np.eye(3)).astype(np.float64)
+        self._stillness = np.zeros_like(self.information)  # of a camera that does not turn
+        still = INFORMATION_EXCESS * (epipolar.px_per_rad / _STRAIGHT_PX) ** 2
+        np.fill_diagonal(self._stillness[: 3 * CONTROL_POINTS, : 3 * CONTROL_POINTS], still)
 
     @property
     def node_flow(self) -> Array:
@@ -187,6 +191,8 @@ class LatticeFit:
             self._equations.add_rows(residuals.by_flow, residuals.by_motion, weight, residuals.r)
         self._add_motion_priors(motion, prior)
         step, change, self.information = self._equations.solve_bordered()
+        if self.straight and self.config.model == "auto":
+            self.information -= self._stillness
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -219,9 +225,8 @@ class LatticeFit:
             corner[part, part] += stiffness * self._roughness
             corner_vector[part] -= stiffness * self._roughness @ values.ravel()
         if self.straight:
-            still = INFORMATION_EXCESS * (self.epipolar.px_per_rad / _STRAIGHT_PX) ** 2
-            corner[of_w, of_w] += still * np.eye(points)
-            corner_vector[of_w] -= still * motion.w.ravel()
+            corner += self._stillness
+            corner_vector[of_w] -= self._stillness[of_w, of_w] @ motion.w.ravel()
         mean = np.tile(motion.v.mean(axis=0), CONTROL_POINTS) / CONTROL_POINTS
         corner[of_v, of_v] += evidence * np.outer(mean, mean)
         if prior is not None:

@@ -1,10 +1,11 @@
-"""Which motion the evidence supports: rotation alone, or a direction of travel as well."""
+"""Which motion the evidence supports: rotation alone, travel alone, or both."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.belief import INFORMATION_EXCESS
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.epipolar import cheirality
 from emoflow_ros.core.estimate import MotionModel
@@ -25,6 +26,9 @@ _NOTHING_PX = 0.15
 _NOTHING_SHARE = 0.015
 _HYSTERESIS = 1.25  # of a rotation ...
 _INERTIA = 1.5  # ... and of travel, which passes through moments that look like rotation
+_STRAIGHT = 1.0  # Wald's statistic up to which a camera that travels is taken not to turn ...
+_TURNING = 2.0  # ... until it comes to this
+_SETTLED = 3  # windows that travel without rotation takes to be believed
 
 
 @dataclass
@@ -45,6 +49,7 @@ class ModelSelector:
     residual_px: float = 0.0
     residual_share: float = 0.0
     advantage: float = 0.0
+    turning: float = 0.0
     model: MotionModel = MotionModel.FULL
     windows: int = 0
 
@@ -65,12 +70,14 @@ class ModelSelector:
         left = _evident_norm(free.flow - epipolar.b @ rotation, free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
+        turning = epipolar.turning(free.flow, free.information / INFORMATION_EXCESS, v)
         past = _FORGETTING if self.windows else 0.0
         for name, value in (
             ("agreement", agreement),
             ("residual_px", median),
             ("residual_share", median / max(speed, 1e-6)),
             ("advantage", float(np.log(rotation_cost / (_FREEDOM * full_cost + 1e-12) + 1e-12))),
+            ("turning", turning),
         ):
             setattr(self, name, past * getattr(self, name) + (1 - past) * value)
         self.windows += 1
@@ -85,7 +92,13 @@ class ModelSelector:
             and self.residual_share < _ERROR_SHARE * slack
             and self.advantage < np.log(slack)
         )
-        self.model = MotionModel.ROTATION if rotates else MotionModel.FULL
+        bound = _TURNING if self.model is MotionModel.TRANSLATION else _STRAIGHT
+        if rotates:
+            self.model = MotionModel.ROTATION
+        elif self.windows >= _SETTLED and self.turning < bound:
+            self.model = MotionModel.TRANSLATION
+        else:
+            self.model = MotionModel.FULL
         return self.model
 
 

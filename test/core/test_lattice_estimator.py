@@ -28,8 +28,8 @@ class Run:
         return LatticeEstimator(self.recording.camera, replace(CONFIG, **options))
 
 
-def run_of(scene: str) -> Run:
-    recording = simulate(scene, duration_s=0.3, seed=1, fps=500, start_ns=START)
+def run_of(scene: str, duration_s: float = 0.3) -> Run:
+    recording = simulate(scene, duration_s=duration_s, seed=1, fps=500, start_ns=START)
     windows = WindowSlicer(WindowPolicy(duration_ms=90.0)).push(recording.events)
     estimator = LatticeEstimator(recording.camera, CONFIG)
     return Run(recording, windows, [estimator.estimate(w) for w in windows])
@@ -152,6 +152,20 @@ def test_a_camera_known_not_to_turn_gives_its_direction_better():
         true = linear / np.linalg.norm(linear)
         errors.append([np.degrees(np.arccos(e.linear @ true)) for e in (alone, full)])
     assert all(alone < min(full, 5) for alone, full in errors[1:])
+
+
+def test_a_camera_that_does_not_turn_is_recognised_but_not_taken_for_certain():
+    """The rotation vanishes, and its covariance stays what the events say."""
+    run = run_of("translation", duration_s=0.7)
+    *_, last = run.estimates
+    assert last.model is MotionModel.TRANSLATION
+    assert np.linalg.norm(last.angular) < np.radians(0.2)
+    known = run.estimator(model="translation")
+    certain = [known.estimate(window) for window in run.windows][-1]
+    sigma, of_known = (np.degrees(np.sqrt(np.diag(e.covariance)[3:])) for e in (last, certain))
+    # 0.1 px of a window's flow at each of the spline's points.
+    assert (of_known < np.degrees(0.1 / run.recording.camera.fx / 0.09)).all()
+    assert (sigma > 2 * of_known).all() and (sigma < 10).all()
 
 
 def test_two_runs_are_bitwise_equal(calm):

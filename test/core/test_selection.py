@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.core.belief import INFORMATION_EXCESS
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import MotionModel
@@ -50,6 +51,52 @@ def test_translations_are_not():
         selector = ModelSelector()
         assert selector.update(EPIPOLAR, field(v, w, seed=seed), w, v) is MotionModel.FULL
         assert selector.agreement > 0.8
+
+
+def turned(w, seed, noise_px=0.3) -> FreeFlow:
+    """The flow of a camera that moves along V, its information as the normal equations have it."""
+    free = field(V, w, noise_px, seed)
+    return FreeFlow(free.flow, CERTAIN * INFORMATION_EXCESS / noise_px**2)
+
+
+def test_the_statistic_of_turning_is_one_for_a_camera_that_does_not():
+    found = []
+    for seed in range(300):
+        free = turned(np.zeros(3), seed)
+        found.append(EPIPOLAR.turning(free.flow, free.information / INFORMATION_EXCESS, V))
+    # A chi-squared over its 3 degrees of freedom: mean 1, variance 2 / 3.
+    assert np.mean(found) == pytest.approx(1, abs=0.15)
+    assert np.var(found) == pytest.approx(2 / 3, rel=0.4)
+
+
+def test_the_statistic_of_turning_grows_with_the_square_of_the_rotation():
+    exact = (EPIPOLAR.a @ V) / DEPTH[:, None]
+    information = CERTAIN / 0.09
+    found = [
+        EPIPOLAR.turning(exact + EPIPOLAR.b @ (k * np.array([2e-4, -1e-4, 3e-4])), information, V)
+        for k in (1, 2, 4)
+    ]
+    np.testing.assert_allclose(found[1:], [4 * found[0], 16 * found[0]], rtol=0.02)
+
+
+def test_a_camera_that_does_not_turn_is_recognised_from_the_third_window_on():
+    selector = ModelSelector()
+    models = [
+        selector.update(EPIPOLAR, turned(np.zeros(3), seed), np.zeros(3), V) for seed in range(20)
+    ]
+    assert models[:2] == [MotionModel.FULL] * 2
+    assert models[5:] == [MotionModel.TRANSLATION] * 15
+
+
+def test_a_turn_of_a_few_standard_deviations_ends_straight_travel():
+    selector = ModelSelector()
+    for seed in range(6):
+        selector.update(EPIPOLAR, turned(np.zeros(3), seed), np.zeros(3), V)
+    assert selector.model is MotionModel.TRANSLATION
+    w = np.array([0.0, 0.004, 0.0])
+    models = [selector.update(EPIPOLAR, turned(w, seed), np.zeros(3), V) for seed in range(6)]
+    assert models[-1] is MotionModel.FULL
+    assert selector.turning > 4
 
 
 def test_agreement_is_plus_one_before_and_minus_one_behind_the_camera():
@@ -123,4 +170,5 @@ def test_without_evidence_nothing_fails():
     selector = ModelSelector()
     selector.update(EPIPOLAR, nothing, np.zeros(3), V)
     assert selector.agreement == 0.0
-    assert np.isfinite([selector.residual_px, selector.residual_share, selector.advantage]).all()
+    figures = (selector.residual_px, selector.residual_share, selector.advantage, selector.turning)
+    assert np.isfinite(figures).all()
