@@ -1,7 +1,6 @@
 """The real-time estimator: a warm-started lattice fit per window."""
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,35 +19,22 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import TO_MIDDLE, FreeFlow, LatticeFit, MotionPrior
+from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.preparation import prepare
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.structure import Structure
-from emoflow_ros.core.windows import NS_PER_S, Window
+from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
 
 _COARSE_EVENTS = 10_000  # are enough at reduced resolution
 _SEARCH_EVENTS = 6_000
 _SEARCH_REACH_PX = 48.0
-_EXTRAPOLATION = 0.5  # share of the flow's change in a window that is believed to go on
-_MAX_GAP_S = 0.3  # longer silence ends a warm start
 _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
 _SWITCH = 0.8  # another direction of v must explain the flow this much better
-
-
-@dataclass(frozen=True)
-class _Last:
-    """The previous window, as far as it starts the next one."""
-
-    t_start: int
-    t_end: int
-    flow: NDArray[np.float32]
-    motion: Motion
-    belief: Belief | None
-    structure: Structure | None
 
 
 class LatticeEstimator:
@@ -74,7 +60,7 @@ class LatticeEstimator:
 
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
-        self._last: _Last | None = None
+        self._last: Memory | None = None
         self._selector = ModelSelector()
 
     def estimate(self, window: Window) -> Estimate:
@@ -89,14 +75,10 @@ class LatticeEstimator:
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
         last = self._last
-        warm = (
-            last is not None
-            and window.t_end >= last.t_end
-            and window.t_start - last.t_end <= _MAX_GAP_S * NS_PER_S
-        )
+        warm = last is not None and last.reaches(window)
         try:
             if warm and last is not None:
-                stop = self._fit_warm(window, events, last)
+                stop = self._fit_warm(events, last.predict(self._fit, window))
             else:
                 self.reset()
                 stop = self._fit_cold(events)
@@ -132,35 +114,9 @@ class LatticeEstimator:
         self._select(free, v[best], w[best])
         return self._refine(events, self.config.cold_iterations, None, hurry=False)
 
-    def _fit_warm(self, window: Window, events: WindowEvents, last: _Last) -> str:
-        """Predict flow and motion from the last window, and correct them coarse to fine."""
+    def _fit_warm(self, events: WindowEvents, prior: MotionPrior | None) -> str:
+        """Correct a prediction of flow and motion from coarse to fine."""
         fit = self._fit
-        ratio = (window.t_end - window.t_start) / (last.t_end - last.t_start)
-        ahead = (
-            0.5
-            * (window.t_start + window.t_end - last.t_start - last.t_end)
-            / (last.t_end - last.t_start)
-        )  # in windows
-        mean = last.flow.mean(axis=2, keepdims=True)
-        change = last.flow[:, :, -1:] - last.flow[:, :, :1]
-        nodes = (np.linspace(0, 1, self.lattice.times) - 0.5) * ratio + ahead
-        slope = _EXTRAPOLATION * change * nodes[:, None].astype(np.float32)
-        fit.flow = ((mean + slope) * ratio).astype(np.float32)
-        w, v = last.motion.at(1.0)
-        fit.motion = Motion.constant(w * ratio, v, speed=ratio)
-        prior = None
-        if last.belief is not None:
-            prior = MotionPrior.carried(
-                last.belief, window, self.config.angular_drift, self.config.direction_drift
-            )
-        fit.structure = last.structure and last.structure.predict(
-            self.lattice,
-            self._epipolar,
-            mean.reshape(-1, 2).astype(np.float64),
-            ahead,
-            v,
-            self.config.depth_drift,
-        )
         few = events.every(max(1, len(events) // _COARSE_EVENTS))
         for scale, steps in ((0.25, 2), (0.5, 1)):
             for _ in range(steps):
@@ -256,7 +212,7 @@ class LatticeEstimator:
         structure = Structure.observe(
             self._epipolar, fit.node_flow.mean(axis=1), (w, v), fit.evidence, fit.structure
         )
-        self._last = _Last(
+        self._last = Memory(
             window.t_start, window.t_end, fit.flow, fit.motion,
             belief if travels else None, structure if travels else None,
         )  # fmt: skip

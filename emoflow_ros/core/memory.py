@@ -1,0 +1,70 @@
+"""What a window leaves to the next one: the warm start."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.egomotion import Motion
+from emoflow_ros.core.lattice_fit import LatticeFit, MotionPrior
+from emoflow_ros.core.structure import Structure
+from emoflow_ros.core.windows import NS_PER_S, Window
+
+_EXTRAPOLATION = 0.5  # share of the flow's change in a window that is believed to go on
+_MAX_GAP_S = 0.3  # longer silence ends a warm start
+
+
+@dataclass(frozen=True)
+class Memory:
+    """The previous window, as far as it starts the next one.
+
+    Attributes:
+        t_start, t_end: the window, ns.
+        flow: (columns, rows, times, 2) px per window.
+        motion: the egomotion.
+        belief, structure: what is known of motion and scene, or None.
+    """
+
+    t_start: int
+    t_end: int
+    flow: NDArray[np.float32]
+    motion: Motion
+    belief: Belief | None
+    structure: Structure | None
+
+    def reaches(self, window: Window) -> bool:
+        """Tell whether a window comes soon enough after this one to start from it."""
+        silence = window.t_start - self.t_end
+        return window.t_end >= self.t_end and silence <= _MAX_GAP_S * NS_PER_S
+
+    def predict(self, fit: LatticeFit, window: Window) -> MotionPrior | None:
+        """Set flow, motion and structure of a fit to what a later window is expected to show.
+
+        Returns:
+            What is known of the motion in the middle of that window, if anything.
+        """
+        length = self.t_end - self.t_start
+        ratio = (window.t_end - window.t_start) / length
+        ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end) / length
+        mean = self.flow.mean(axis=2, keepdims=True)
+        change = self.flow[:, :, -1:] - self.flow[:, :, :1]
+        nodes = (np.linspace(0, 1, fit.lattice.times) - 0.5) * ratio + ahead  # in windows
+        slope = _EXTRAPOLATION * change * nodes[:, None].astype(np.float32)
+        fit.flow = ((mean + slope) * ratio).astype(np.float32)
+        w, v = self.motion.at(1.0)
+        fit.motion = Motion.constant(w * ratio, v, speed=ratio)
+        config = fit.config
+        fit.structure = self.structure and self.structure.predict(
+            fit.lattice,
+            fit.epipolar,
+            mean.reshape(-1, 2).astype(np.float64),
+            ahead,
+            v,
+            config.depth_drift,
+        )
+        if self.belief is None:
+            return None
+        return MotionPrior.carried(
+            self.belief, window, config.angular_drift, config.direction_drift
+        )
