@@ -13,6 +13,8 @@ from emoflow_ros.offline.readers import Recording, open_recording
 from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.sequences import Sequence
 
+_MOST = "window.max_displacement_px"
+
 
 @dataclass(frozen=True)
 class Source:
@@ -73,13 +75,18 @@ def add_configuration_options(parser: argparse.ArgumentParser) -> None:
         "--profile", default="realtime", metavar="NAME", help="configuration (default: realtime)"
     )
     parser.add_argument(
-        "--window-ms", type=float, metavar="MS", help="length of a window (default: the profile's)"
+        "--window-ms",
+        type=float,
+        metavar="MS",
+        help="take whole windows of this length, however fast the motion is, unless --set "
+        f"{_MOST}=PX bounds it (default: the profile's windows)",
     )
     parser.add_argument(
         "--stride-ms",
         type=float,
         metavar="MS",
-        help="from one window's start to the next one's (default: the window's length)",
+        help="from one window's start to the next one's; more than a window's length counts as "
+        "that (default: the length given with --window-ms, else the profile's stride)",
     )
     parser.add_argument(
         "--set",
@@ -94,12 +101,17 @@ def add_configuration_options(parser: argparse.ArgumentParser) -> None:
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
     """Collect option values by dotted name; --set counts after the shorthands.
 
+    Windows of --window-ms are whole and follow one another: a profile's bound on their motion and
+    its stride belong to the profile's own length.
+
     Raises:
         InputError: a --set that is not NAME=VALUE.
     """
     values: dict[str, Any] = {}
     if options.window_ms is not None:
         values["window.duration_ms"] = options.window_ms
+        values["window.stride_ms"] = 0.0
+        values[_MOST] = 0.0
     if options.stride_ms is not None:
         values["window.stride_ms"] = options.stride_ms
     for text in options.overrides:

@@ -97,5 +97,6 @@ def test_stride_and_overrides_reach_the_configuration():
     assert overrides(options) == {
         "window.duration_ms": 50.0,
         "window.stride_ms": 25.0,
+        "window.max_displacement_px": 0.0,
         "estimator.max_events": 2000,
     }
