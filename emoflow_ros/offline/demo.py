@@ -183,8 +183,8 @@ def _show(collected: Collected, estimates: Estimates, truth: Truth, folder: Path
         stamp = (t_start + t_end) // 2
         expected += columns["status"][i] == "ok"
         if stamp not in collected.twists:
-            lost = "dropped by the node" if columns["status"][i] == "ok" else columns["status"][i]
-            print(f"{i:6}  no twist: {lost}")
+            known = columns["status"][i]
+            print(f"{i:6}  no twist: {'dropped by the node, or late' if known == 'ok' else known}")
             continue
         arrived += 1
         linear, angular = collected.twists[stamp]
