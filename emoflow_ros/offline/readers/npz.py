@@ -5,10 +5,11 @@ type; integers are microseconds, unless they reach 1e17 or span more than an hou
 they are nanoseconds. `width` and `height` may give the sensor's size.
 """
 
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from emoflow_ros.offline.readers.file_recording import FileRecording
 _UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
 _EPOCH_NS = 10**17
 _HOUR_US = 3_600_000_000
+_SIZES = ("width", "height")
 _LAYOUT = "save x, y, t (or t_s, t_us, t_ns) and p of equal length"
 
 
@@ -28,6 +30,7 @@ class NpzRecording(FileRecording):
     """An `.npz` file."""
 
     FORMAT = "a NumPy archive (.npz with x, y, t, p)"
+    TYPE = "npz"
 
     def __init__(
         self, path: Path, *, topic: str | None = None, calibration: Path | None = None
@@ -44,7 +47,7 @@ class NpzRecording(FileRecording):
         if any(a.dtype.kind not in "biuf" or not np.isfinite(a).all() for a in (x, y, t, p)):
             raise InputError(path, "values that are not finite numbers", _LAYOUT)
         self._events = Events(_pixels(x), _pixels(y), _to_ns(t_name, t), p > 0)
-        self.size = int(arrays.get("width", 0)), int(arrays.get("height", 0))
+        self.size = _size(path, arrays)
         if len(x):
             self.duration = float(self._events.t[-1] - self._events.t[0]) / NS_PER_S
 
@@ -59,11 +62,34 @@ class NpzRecording(FileRecording):
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the arrays that have a meaning, as far as they are there.
+
+    NumPy's own words for damage are not repeated: they advise to load it unsafely.
+    """
+    if not is_zipfile(path):
+        raise InputError(path, "not a NumPy archive, or cut off", "copy it again")
+    arrays: dict[str, NDArray[Any]] = {}
+    name = ""
     try:
-        with np.load(path) as archive:
-            return dict(archive)
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(path, f"not a NumPy archive ({error})", "copy it again") from None
+        with np.load(path, allow_pickle=False) as archive:
+            for name in {"x", "y", "t", "p", *_UNITS_NS, *_SIZES}.intersection(archive.files):
+                value = archive[name]
+                if isinstance(value, np.ndarray):  # other members come as bytes
+                    arrays[name] = value
+    except (OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error) as error:
+        if "Object arrays" in str(error):
+            raise InputError(path, f"{name} holds Python objects", "save numbers") from None
+        part = f" ({name} cannot be read)" if name else ""
+        raise InputError(path, f"damaged NumPy archive{part}", "copy it again") from None
+    return arrays
+
+
+def _size(path: Path, arrays: dict[str, NDArray[Any]]) -> tuple[int, int]:
+    values = [arrays.get(name, np.zeros(())) for name in _SIZES]
+    if any(v.size != 1 or v.dtype.kind not in "iuf" or not np.isfinite(v).all() for v in values):
+        raise InputError(path, "width and height are not one number each", "save the sensor's size")
+    width, height = (int(v.item()) for v in values)
+    return width, height
 
 
 def _pixels(values: NDArray[Any]) -> NDArray[np.uint16]:
