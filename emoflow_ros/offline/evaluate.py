@@ -37,7 +37,7 @@ from emoflow_ros.offline.protocols import (
     make_plan,
 )
 from emoflow_ros.offline.provenance import versions
-from emoflow_ros.offline.readers import require_camera
+from emoflow_ros.offline.readers import KNOWN_FORMATS, require_camera
 from emoflow_ros.offline.report import Report, write_report
 from emoflow_ros.offline.sequences import find_sequence
 from emoflow_ros.offline.submission import Submission
@@ -86,8 +86,7 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         "input",
         type=Path,
         metavar="INPUT",
-        help="ROS 1 bag, rosbag2 folder, .mcap, .db3, MVSEC's *_data.hdf5, folder of a DSEC "
-        "sequence, or ECD folder with events.txt",
+        help=KNOWN_FORMATS,
     )
     add(
         "--gt",

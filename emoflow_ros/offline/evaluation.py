@@ -23,7 +23,9 @@ from emoflow_ros.offline.results import WindowResult, assess
 from emoflow_ros.offline.submission import Submission
 from emoflow_ros.offline.truth import Truth
 
-_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}{postfix}]"
+# The total as text: tqdm drops it when a recording outlasts the length that it announced.
+_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total_fmt} s [{elapsed}<{remaining}{postfix}]"
+_BAR_OF_UNKNOWN_LENGTH = "{desc}: {n:.1f} s [{elapsed}{postfix}]"
 
 
 @dataclass
@@ -127,11 +129,11 @@ def proceed(
     )
     left = None if max_windows is None else max(0, max_windows - len(run.windows))
     with tqdm(
-        total=recording.duration and round(recording.duration, 3),
+        total=None if recording.duration is None else round(recording.duration, 3),
         desc=recording.path.name,
         unit="s",
         disable=not progress_bar,
-        bar_format=_BAR,
+        bar_format=_BAR_OF_UNKNOWN_LENGTH if recording.duration is None else _BAR,
     ) as bar:
         began = time.perf_counter()
         try:

@@ -15,7 +15,7 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.offline.readers import KNOWN_FORMATS, open_recording
 from emoflow_ros.offline.readers.bag import BagRecording, open_bag, read_messages, serialization
 from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
 
@@ -116,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("input", type=Path, help="a bag, or a file or folder of a data set")
+    parser.add_argument("input", type=Path, help=KNOWN_FORMATS)
     parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
@@ -183,8 +183,8 @@ def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
 def _inspect_file(path: Path) -> Info:
     info = Info(str(path))
     with open_recording(path) as recording:
-        kind = type(recording)
-        topic = TopicInfo(recording.topic, getattr(kind, "FORMAT", kind.__name__))
+        kind = getattr(recording, "TYPE", type(recording).__name__)
+        topic = TopicInfo(recording.topic or getattr(recording, "file_name", ""), kind)
         topic.encoding = getattr(recording, "encoding", "")
         size = getattr(recording, "size", (0, 0))
         if recording.camera is not None:

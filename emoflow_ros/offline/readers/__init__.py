@@ -12,7 +12,7 @@ from emoflow_ros.offline.readers.mvsec import MvsecRecording
 from emoflow_ros.offline.readers.npz import NpzRecording
 from emoflow_ros.offline.readers.prophesee_raw import PropheseeRawRecording
 
-__all__ = ["READERS", "Recording", "open_recording", "require_camera"]
+__all__ = ["KNOWN_FORMATS", "READERS", "Recording", "open_recording", "require_camera"]
 
 # The first whose `matches(path)` holds opens the recording.
 READERS = (
@@ -24,6 +24,8 @@ READERS = (
     DsecRecording,
     NpzRecording,
 )
+_NAMES = [reader.FORMAT for reader in READERS]
+KNOWN_FORMATS = f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}"
 
 
 def open_recording(
@@ -47,8 +49,4 @@ def open_recording(
     for reader in READERS:
         if reader.matches(path):
             return reader(path, topic=topic, calibration=calibration)
-    raise InputError(
-        path,
-        "not a recording of a known format",
-        "give " + ", ".join(reader.FORMAT for reader in READERS[:-1]) + f" or {READERS[-1].FORMAT}",
-    )
+    raise InputError(path, "not a recording of a known format", f"give {KNOWN_FORMATS}")

@@ -16,6 +16,7 @@ class Aedat4Recording(FileRecording):
     """An `.aedat4` file with one event stream."""
 
     FORMAT = "an AEDAT4 file (.aedat4)"
+    TYPE = "aedat4"
 
     def __init__(
         self, path: Path, *, topic: str | None = None, calibration: Path | None = None

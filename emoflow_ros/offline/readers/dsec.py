@@ -36,7 +36,8 @@ class DsecRecording(FileRecording):
         rectified: whether events and camera are those of the rectified view.
     """
 
-    FORMAT = "a DSEC sequence or event file (HDF5)"
+    FORMAT = "the folder of a DSEC sequence or its events.h5"
+    TYPE = "dsec/events.h5"
 
     def __init__(
         self, path: Path, *, topic: str | None = None, calibration: Path | None = None
@@ -52,6 +53,7 @@ class DsecRecording(FileRecording):
             if self.rectified:
                 self.camera = rectified_camera(folder.calibration)
                 self._map = _read_map(folder.rectify_map)
+        self.file_name = events.name
         file = self.stack.enter_context(open_hdf5(events))
         if not holds(events, [f"events/{name}" for name in _COLUMNS]):
             self.stack.close()

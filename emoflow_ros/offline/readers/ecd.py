@@ -23,27 +23,33 @@ _ROW = "a line is 't x y p': seconds, pixel column, pixel row, 0 or 1"
 
 
 class EcdRecording:
-    """A folder with `events.txt` (`t[s] x y p`) and `calib.txt`."""
+    """A folder with `events.txt` (`t[s] x y p`) and `calib.txt`, or its `events.txt`.
 
-    FORMAT = "an ECD folder (events.txt, calib.txt)"
+    Attributes:
+        file_name: of the file that holds the events.
+    """
+
+    FORMAT = "an ECD folder or its events.txt (beside it calib.txt)"
+    TYPE = "ecd/events.txt"
 
     def __init__(
         self, path: Path, *, topic: str | None = None, calibration: Path | None = None
     ) -> None:
         if topic is not None:
             raise InputError(path, "an ECD folder has no topics", "leave --topic out")
-        self.path = path
+        self.path = path if path.is_dir() else path.parent
         self.topic = ""
-        own = path / "calib.txt"
+        own = self.path / "calib.txt"
         file = calibration or (own if own.exists() else None)
         self.camera = load_calibration(file) if file else None
-        self._file = path / _EVENTS
+        self._file = self.path / _EVENTS
+        self.file_name = _EVENTS
         self.duration: float | None = self._measure()
 
     @staticmethod
     def matches(path: Path) -> bool:
-        """Whether the path is a folder of this format."""
-        return (path / _EVENTS).is_file()
+        """Whether the path is a folder of this format, or the file in it."""
+        return (path / _EVENTS).is_file() or (path.name == _EVENTS and path.is_file())
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, some 200 000 at a time."""

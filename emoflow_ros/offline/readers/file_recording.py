@@ -18,6 +18,7 @@ class FileRecording:
     """One file; a subclass opens it and yields its events.
 
     Attributes:
+        file_name: of the file that holds the events.
         stack: closes what the subclass opens.
         size: (width, height) as the file gives it; (0, 0) where it gives none.
     """
@@ -29,6 +30,7 @@ class FileRecording:
             raise InputError(path, "a file of one stream has no topics", "leave --topic out")
         self.path = path
         self.topic = ""
+        self.file_name = path.name
         self.camera = load_calibration(calibration) if calibration else None
         self.duration: float | None = None
         self.size = (0, 0)

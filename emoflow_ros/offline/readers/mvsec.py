@@ -24,7 +24,8 @@ _X, _Y, _T, _P = range(4)
 class MvsecRecording(FileRecording):
     """An MVSEC `*_data.hdf5`; its topic is the table, the left camera's by default."""
 
-    FORMAT = "an MVSEC data file (HDF5)"
+    FORMAT = "an MVSEC *_data.hdf5"
+    TYPE = "mvsec/hdf5"
 
     def __init__(
         self, path: Path, *, topic: str | None = None, calibration: Path | None = None

@@ -24,6 +24,7 @@ class PropheseeRawRecording(FileRecording):
     """A `.raw` file."""
 
     FORMAT = "a Prophesee .raw file (EVT 2.0, 2.1, 3.0)"
+    TYPE = "prophesee/raw"
 
     def __init__(
         self, path: Path, *, topic: str | None = None, calibration: Path | None = None
