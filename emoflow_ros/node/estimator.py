@@ -1,22 +1,37 @@
 """The executable `estimator`: runs the node until SIGINT or SIGTERM."""
 
 import argparse
-import sys
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.utilities import ok, remove_ros_args, try_shutdown
+from rclpy.utilities import ok, try_shutdown
 
 from emoflow_ros.cli import run
 from emoflow_ros.node.estimator_node import EstimatorNode
+from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.node.supervisor import FACTORY
 
 _EPILOG = """\
-The topic and all parameters are given as ROS arguments:
+topics in:
+  events       dvs_msgs or prophesee_event_msgs EventArray, event_camera_msgs/EventPacket,
+               sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
+               the graph is taken; PointCloud2 must be remapped
+  camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped
+
+topics out:
+  egomotion/twist, egomotion/twist_with_covariance   camera velocity: direction and rad/s
+  egomotion/status                                   the verdict on every window
+  flow/image, flow/color, flow/iwe, flow/tracks      only while somebody subscribes
+  /diagnostics                                       what is wrong, rates, latency, losses
+
+Nothing is estimated without a calibration: where nobody publishes camera_info, give a
+camera_info YAML (or ECD calib.txt) by camera.calibration_file. Events without a size of their
+own, as in PointCloud2, take that of the calibration.
+
+Topics and parameters are given as ROS arguments:
   estimator --ros-args -r events:=/davis/left/events -p camera.calibration_file:=calib.yaml
   estimator --ros-args --params-file my.yaml -p window.duration_ms:=50.0
-With one event topic in the graph nothing needs to be given.
 """
 
 
@@ -31,10 +46,11 @@ def _main(factory: str) -> int:
         description="ROS 2 node: event arrays in, egomotion and optical flow out.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    ).parse_args(remove_ros_args(sys.argv)[1:])
-    rclpy.init()
+    ).parse_args(own_arguments())
     node = None
     try:
+        with refused_in_one_line():
+            rclpy.init()
         node = EstimatorNode(factory)
         _spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -1,13 +1,12 @@
 """The lifecycle node: event messages in, egomotion and optical flow out."""
 
-from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecycleState
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.calibration import load_calibration
@@ -18,33 +17,19 @@ from emoflow_ros.node import converters
 from emoflow_ros.node.calibration_path import calibration_path
 from emoflow_ros.node.discovery import EventTopic, TopicSearch
 from emoflow_ros.node.event_input import EventInput
-from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.event_source import Callbacks, EventSource, camera_info_topic
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.parameters import NodeOptions, NodeParameters, Settings
+from emoflow_ros.node.ros_arguments import refused_in_one_line
 from emoflow_ros.node.statistics import Level, Statistics
 from emoflow_ros.node.supervisor import FACTORY, Supervisor
 from emoflow_ros.node.tasks import Loss, Notice, Outcome, Result, Task
+from emoflow_ros.node.transition import transition
 
 _DIAGNOSTICS_DEPTH = 10
 _THROTTLE_S = 5.0
-
-type Transition = Callable[["EstimatorNode", LifecycleState], None]
-
-
-def _transition(body: Transition) -> Callable[..., TransitionCallbackReturn]:
-    """Make a lifecycle callback that says why it failed: rclpy would say nothing."""
-
-    def callback(self: "EstimatorNode", state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            body(self, state)
-        except InputError as error:
-            self.refusal = error
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        return TransitionCallbackReturn.SUCCESS
-
-    callback.__doc__ = body.__doc__
-    return callback
+# What does not change by itself: a reminder for who reads the log later.
+_REMINDER_S = 30.0
 
 
 class EstimatorNode(LifecycleNode):
@@ -60,6 +45,7 @@ class EstimatorNode(LifecycleNode):
 
     Attributes:
         refusal: why the last transition failed.
+        is_starting: whether a refusal is raised instead of logged.
 
     Raises:
         InputError: a parameter has an unknown name or a bad value, or the node cannot start
@@ -67,14 +53,17 @@ class EstimatorNode(LifecycleNode):
     """
 
     def __init__(self, factory: str = FACTORY, **kwargs: Any) -> None:
-        super().__init__("estimator", **kwargs)
+        with refused_in_one_line():
+            super().__init__("estimator", **kwargs)
         self.refusal: InputError | None = None
+        self.is_starting = False
         self._factory = factory
         self._supervisor: Supervisor | None = None
         self._source: EventSource | None = None
         self._input: EventInput | None = None
         self._camera: Camera | None = None
         self._topic: EventTopic | None = None
+        self._encoding = ""
         self._epoch = 0
         self._statistics = Statistics()
         self._outcomes: SimpleQueue[Outcome] = SimpleQueue()
@@ -85,16 +74,18 @@ class EstimatorNode(LifecycleNode):
             on_change=self._apply_settings,
         )
         if self._settings.node.autostart:
+            self.is_starting = True
             self.trigger_configure()
             if self.refusal is not None:
                 raise self.refusal
+            self.is_starting = False
             self.trigger_activate()
 
     @property
     def _settings(self) -> Settings:
         return self._table.settings
 
-    @_transition
+    @transition
     def on_configure(self, state: LifecycleState) -> None:
         """Read the calibration file if there is one, make the publishers, start the worker."""
         options = self._settings.node
@@ -115,7 +106,7 @@ class EstimatorNode(LifecycleNode):
             self._supervisor.configure(self._camera, self._settings.config)
         self._supervisor.start()
 
-    @_transition
+    @transition
     def on_activate(self, state: LifecycleState) -> None:
         """Look for events."""
         assert self._supervisor is not None
@@ -133,7 +124,7 @@ class EstimatorNode(LifecycleNode):
             statistics=self._statistics,
         )
 
-    @_transition
+    @transition
     def on_deactivate(self, state: LifecycleState) -> None:
         """Listen no longer and forget the windows that wait."""
         assert self._supervisor is not None
@@ -141,12 +132,12 @@ class EstimatorNode(LifecycleNode):
         self._supervisor.queue.clear()
         super().on_deactivate(state)
 
-    @_transition
+    @transition
     def on_cleanup(self, state: LifecycleState) -> None:
         """End the worker and take the topics away."""
         self._release()
 
-    @_transition
+    @transition
     def on_shutdown(self, state: LifecycleState) -> None:
         """Do what deactivating and cleaning up do."""
         self._release()
@@ -214,15 +205,22 @@ class EstimatorNode(LifecycleNode):
         )
         self._input.camera = self._camera
         self._epoch = self._input.epoch
+        self._encoding = ""
         self.get_logger().info(f"listening to {topic.name} ({topic.type})")
         if self._camera is None:
-            waiting = f"no calibration yet: publish {topic.camera_info} or give a file"
-            self._statistics.set_problem("camera", Level.ERROR, waiting)
+            self._statistics.set_problem("camera", Level.ERROR, self._missing_calibration(topic))
+
+    def _missing_calibration(self, topic: EventTopic) -> str:
+        wanted = camera_info_topic(self, topic)
+        return f"no calibration yet: publish {wanted} or give camera.calibration_file"
 
     def _take_events(self, data: bytes) -> None:
         if self._input is None or self._supervisor is None:
             return
         tasks = self._input.push(data)
+        if self._input.encoding and not self._encoding:
+            self._encoding = self._input.encoding
+            self.get_logger().info(f"events are encoded as {self._encoding}")
         if self._input.epoch != self._epoch:
             self._epoch = self._input.epoch
             self._supervisor.queue.clear()
@@ -232,6 +230,11 @@ class EstimatorNode(LifecycleNode):
             )
         if tasks:
             self._supervisor.wishes = self._outputs.wishes
+            if self._camera is None and self._topic is not None:
+                self.get_logger().warning(
+                    f"windows wait: {self._missing_calibration(self._topic)}",
+                    throttle_duration_sec=_REMINDER_S,
+                )
         for task in tasks:
             dropped = self._supervisor.queue.put(task)
             if dropped is not None:
@@ -249,11 +252,11 @@ class EstimatorNode(LifecycleNode):
         self._statistics.clear_problem("camera")
         if camera == self._camera:
             return
-        if self._camera is not None and camera.size != self._camera.size:
-            self._supervisor.queue.clear()  # windows of another sensor
-        self._camera = camera
         if self._input is not None:
+            if self._input.size not in (None, camera.size):
+                self._supervisor.queue.clear()  # windows of another sensor
             self._input.camera = camera
+        self._camera = camera
         self._supervisor.configure(camera, self._settings.config)
         self.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
 

@@ -59,6 +59,7 @@ class EventInput:
         epoch: int = 0,
     ) -> None:
         self._camera: Camera | None = None
+        self._size: tuple[int, int] | None = None  # of the messages, while there is no camera
         self.epoch = epoch
         self.jump = ""
         self._stamp: int | None = None
@@ -72,14 +73,24 @@ class EventInput:
 
     @property
     def camera(self) -> Camera | None:
-        """Whose events are expected; None expects any."""
+        """Whose events are expected; None expects those of the first message's sensor."""
         return self._camera
 
     @camera.setter
     def camera(self, camera: Camera | None) -> None:
-        if self._camera and camera and self._camera.size != camera.size:
+        if camera and self.size not in (None, camera.size):
             self._slicer.reset()  # no window holds the events of two sensors
         self._camera = camera
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height in px of the sensor whose events are taken; None while any is."""
+        return self._camera.size if self._camera else self._size
+
+    @property
+    def encoding(self) -> str:
+        """That of the last message, as EventPacket names it; empty for types that have one only."""
+        return self._decoder.statistics.encoding
 
     def set_policy(self, policy: WindowPolicy) -> None:
         """Cut the events from now on differently; those of an unfinished window are left out."""
@@ -90,6 +101,7 @@ class EventInput:
         """Take one serialised message and return the windows that it completes."""
         message = self._decode(data)
         if message is not None and self._has_jumped(message):
+            self._size = None  # another recording may be that of another sensor
             message = self._decode(data)  # the sensor's time was counted on from before the jump
         if message is None:
             return []
@@ -145,21 +157,31 @@ class EventInput:
     def _inside(self, message: EventMessage) -> Events:
         """Return the message's events that lie on the sensor."""
         self._statistics.counts["events_outside"] += message.dropped_outside
-        if self._camera is None:
-            return message.events
-        size = self._camera.size
-        if message.width and (message.width, message.height) != size:
+        size = (message.width, message.height)
+        if message.width and self._camera is None and self._size is None:
+            self._size = size
+        if message.width and size != self.size:
             self._statistics.counts["wrong_size_messages"] += 1
-            self._warn(
-                f"events of a {message.width}x{message.height} sensor do not fit the calibration "
-                f"of a {size[0]}x{size[1]} one; give this sensor's calibration"
-            )
+            self._warn(self._misfit(message))
             return Events.empty()
-        if message.width:
+        if message.width or self._camera is None:
             return message.events
-        inside = message.events.inside(*size)
+        inside = message.events.inside(*self._camera.size)
         self._statistics.counts["events_outside"] += len(inside) - int(inside.sum())
         return message.events[inside]
+
+    def _misfit(self, message: EventMessage) -> str:
+        assert self.size is not None
+        events = f"events of a {message.width}x{message.height} sensor"
+        size = f"{self.size[0]}x{self.size[1]}"
+        if self._camera is None:
+            return (
+                f"{events} are left out: those before were of a {size} one; "
+                "publish one sensor's events on a topic"
+            )
+        return (
+            f"{events} do not fit the calibration of a {size} one; give this sensor's calibration"
+        )
 
     def _slice(self, events: Events) -> list[Window]:
         if (events.t[1:] < events.t[:-1]).any():

@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import EventTopic, TopicSearch, import_message_type
+from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.statistics import Level, Statistics
 
 _EVENT_DEPTH = 1000  # as event camera drivers publish
@@ -82,6 +83,10 @@ class EventSource:
         self._statistics.clear_problem("input")
 
     def _look(self) -> None:
+        with refused_values():  # of qos_overrides; they cannot change, so this ends the node
+            self._look_once()
+
+    def _look_once(self) -> None:
         if not self._is_ready():
             self._statistics.set_problem("input", Level.WARN, "the worker is starting")
             return

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args, try_shutdown
+from rclpy.utilities import try_shutdown
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosgraph_msgs.msg import Clock
@@ -24,6 +24,7 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import import_message_type
+from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.offline.conversion import Ros1Converter
 from emoflow_ros.offline.readers.bag import open_bag, read_messages
 from msg_adapters import supported_types
@@ -164,10 +165,11 @@ def main() -> int:
 def _main() -> None:
     args = _parse()
     with open_bag(args.bag) as reader:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
-            node = rclpy.create_node("replay")
+            with refused_in_one_line():
+                rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+                node = rclpy.create_node("replay")
             player = Player(node, args.bag, reader, topics=args.topics, with_clock=args.clock)
             if args.wait:
                 player.wait_for_subscribers(args.wait)
@@ -204,7 +206,7 @@ def _parse() -> argparse.Namespace:
         metavar="S",
         help=f"wait up to S seconds (default: {_WAIT_S:g}) until somebody listens to the events",
     )
-    args = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    args = parser.parse_args(own_arguments())
     if not 0.001 <= args.rate <= 1000:
         raise InputError("--rate", f"{args.rate:g}", "give a rate in [0.001, 1000]")
     if not 0 <= args.wait <= 3600:

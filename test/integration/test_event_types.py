@@ -1,6 +1,7 @@
 """The node over DDS, with the same events as every message type, from both kinds of publishers."""
 
 import array
+import re
 import sys
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -158,6 +159,7 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     message_type: Any,
     to_message: ToMessage,
     reliability: ReliabilityPolicy,
+    request: pytest.FixtureRequest,
 ) -> None:
     assert [e.status for e in expected] == [Status.OK] * 5
     replace_publisher(peer, message_type, reliability)
@@ -182,6 +184,10 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     peer.spin_until(lambda: peer.status().get("events") == count, "all events")
     peer.spin_until(lambda: peer.status()["windows_ok"] == "5", "all windows")
     peer.spin_until(lambda: twists(peer)[0][-1:] == [expected[-1].t], "the last twist")
+
+    encodings = re.findall(r"events are encoded as (\w+)", processes.output(node))
+    named = request.node.callspec.id.partition("-")[0]
+    assert encodings == ([named] if message_type is event_camera_msgs.msg.EventPacket else [])
 
     # The node may match this subscriber after its first answer, which then reaches nobody.
     assert len(peer.twists) >= 4

@@ -87,9 +87,8 @@ def test_camera_info_that_comes_late_finds_the_windows_waiting(
     peer.connect()
     run_windows(peer, 1000, 1031)
     peer.spin_until(lambda: peer.status().get("events") == "35", "the events arrived")
-    assert (
-        "no calibration yet: publish /cam/camera_info or give a file" in (peer.status()["message"])
-    )
+    missing = "no calibration yet: publish /cam/camera_info or give camera.calibration_file"
+    assert peer.status()["message"] == missing
     peer.publish_camera()
     peer.spin_until(lambda: len(peer.twists) == 3, "the windows that waited")
     peer.spin_until(lambda: "calibration" not in peer.status()["message"], "the end of the problem")

@@ -177,6 +177,11 @@ def test_bad_bag_is_one_line(
     [
         (("--topics", "/odd"), "no topic /odd; the bag holds /davis/left/camera_info, "),
         (("--rate", "0"), "error: --rate: 0; give a rate in [0.001, 1000]"),
+        (("--ros-args", "-r", "bad"), "error: -r bad: not of the form FROM:=TO with two ROS names"),
+        (
+            ("--ros-args", "-p", "use_sim_time:=foo"),
+            "error: use_sim_time: 'foo' is not of type bool",
+        ),
     ],
 )
 def test_bad_argument_is_one_line(

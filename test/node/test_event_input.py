@@ -1,3 +1,4 @@
+import struct
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from emoflow_ros.node.statistics import Statistics
 from emoflow_ros.simulation.messages import EVENT_ARRAY, MessageEncoder
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 MS = 1_000_000
 
 
@@ -35,12 +37,23 @@ class Bench:
         self.input.camera = CAMERA
         self._encoder = MessageEncoder(ros1=False)
 
-    def push(self, *times_ms: float, stamp_ms: float | None = None) -> list[Any]:
+    def push(
+        self, *times_ms: float, stamp_ms: float | None = None, camera: Camera = CAMERA
+    ) -> list[Any]:
         t = np.array([round(ms * MS) for ms in times_ms], np.int64)
         zeros = np.zeros(len(t), np.uint16)
         events = Events(zeros, zeros, t, zeros.astype(bool))
         stamp = round((times_ms[0] if stamp_ms is None else stamp_ms) * MS)
-        return self.input.push(self._encoder.events(stamp, CAMERA, events))
+        return self.input.push(self._encoder.events(stamp, camera, events))
+
+
+def event_packet(encoding: str, payload: bytes) -> bytes:
+    """Serialised EventPacket of a sensor of CAMERA's size, with an empty frame."""
+    name = encoding.encode() + b"\0"
+    head = struct.pack("<iII4xIIQQ", 1, 0, 1, CAMERA.height, CAMERA.width, 0, 0)
+    body = head + struct.pack("<I", len(name)) + name + b"\0"
+    body += bytes(-len(body) % 4)
+    return b"\x00\x01\x00\x00" + body + struct.pack("<I", len(payload)) + payload
 
 
 @pytest.fixture
@@ -127,3 +140,61 @@ def test_same_policy_does_not_lose_the_unfinished_window(bench: Bench) -> None:
     bench.input.set_policy(WindowPolicy(duration_ms=10.0))
     [task] = bench.push(1012)
     assert len(task.window.events) == 2
+
+
+def test_sizes_do_not_mix_before_a_calibration(bench: Bench) -> None:
+    bench.input.camera = None
+    bench.push(1000, 1004)
+    assert bench.push(1005, 1006, camera=SMALL) == []
+    [task] = bench.push(1012)
+    assert len(task.window.events) == 2
+    assert bench.input.size == (64, 48)
+    assert bench.statistics.counts["wrong_size_messages"] == 1
+    assert bench.statistics.counts["events"] == 3
+    assert bench.warnings == [
+        "events of a 32x24 sensor are left out: those before were of a 64x48 one; "
+        "publish one sensor's events on a topic"
+    ]
+
+
+def test_calibration_of_another_size_forgets_what_was_heard_before_it(bench: Bench) -> None:
+    bench.input.camera = None
+    bench.push(1000, 1004, camera=SMALL)
+    bench.input.camera = CAMERA
+    assert bench.push(1005, 1006) == []
+    [task] = bench.push(1016)
+    assert (task.window.t_start, len(task.window.events)) == (1005 * MS, 2)
+    assert bench.warnings == []
+
+
+def test_calibration_of_the_size_that_was_heard_keeps_the_window(bench: Bench) -> None:
+    bench.input.camera = None
+    bench.push(1000, 1004)
+    bench.input.camera = CAMERA
+    [task] = bench.push(1012)
+    assert (task.window.t_start, len(task.window.events)) == (1000 * MS, 2)
+
+
+def test_recording_of_another_sensor_is_heard_after_a_jump(bench: Bench) -> None:
+    bench.input.camera = None
+    bench.push(5000, 5004)
+    bench.push(1000, 1004, camera=SMALL)
+    [task] = bench.push(1012, camera=SMALL)
+    assert (bench.input.size, len(task.window.events)) == ((32, 24), 2)
+    assert bench.warnings == []
+
+
+def test_encoding_is_known_from_the_first_packet(bench: Bench) -> None:
+    bench.push(1000)
+    assert bench.input.encoding == ""  # EventArray has one only
+    packets = EventInput(
+        "event_camera_msgs/msg/EventPacket",
+        WindowPolicy(duration_ms=10.0),
+        timestamps=Timestamps.FUSED,
+        frame_id="",
+        statistics=bench.statistics,
+        warn=bench.warnings.append,
+    )
+    assert packets.encoding == ""
+    packets.push(event_packet("mono", bytes(8)))
+    assert packets.encoding == "mono"
