@@ -60,8 +60,10 @@ class PacketDecoder:
         if self._last - int(t[0]) > _HALF_US:
             drops = np.append(0, drops)
         t += self._rolled * _WRAP_US
-        for drop in drops:
-            t[drop:] += _WRAP_US
+        if len(drops):  # summed up at once: random bytes roll over at every third event
+            steps = np.zeros(len(t), np.int64)
+            steps[drops] = _WRAP_US
+            t += np.cumsum(steps)
         self._rolled += len(drops)
         self._statistics.time_wraps += len(drops)
         self._last = last

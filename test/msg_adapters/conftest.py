@@ -1,12 +1,21 @@
-"""Puts the encoders beside the tests on the path, and offers serialisers independent of ours."""
+"""Puts the encoders beside the tests on the path, and registers the profile of `make fuzz`."""
 
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
+
+# Every decoder has four property tests or more: two properties in two serialisations.
+FUZZ_INPUTS = 1_000_000
+FUZZ_TESTS = 4
+# Without a database: its entries would be replayed and not count as new inputs.
+settings.register_profile(
+    "fuzz", max_examples=FUZZ_INPUTS // FUZZ_TESTS, deadline=None, database=None
+)
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data" / "event_packets"
 

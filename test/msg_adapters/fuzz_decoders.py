@@ -1,89 +1,130 @@
-"""Coverage-guided fuzzing of every decoder: `make fuzz`.
+"""Coverage-guided fuzzing of every decoder and of the readers of plain files: `make fuzz`.
 
 Each target runs in a process of its own, because libFuzzer never returns. A target fails on any
-exception but DecodeError, and on more events than the bytes can hold. The compiled kernels run
-as plain Python here, so that coverage guides into them and every index is checked.
+exception but DecodeError (readers: InputError), and on more events or memory than limits.py
+allows. The compiled kernels run as plain Python here, so that coverage guides into them, on
+arrays that refuse every index outside of 0 to N - 1: NumPy alone would let negative ones pass.
 
-    python test/msg_adapters/fuzz_decoders.py [--runs N] [--target NAME]
+    python test/msg_adapters/fuzz_decoders.py [--runs N] [--seed N] [--target NAME]
 """
 
 import argparse
 import os
-import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
-
-os.environ["NUMBA_DISABLE_JIT"] = "1"
+from zipfile import ZipFile
 
 import atheris
+import numba
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
-with atheris.instrument_imports(include=["msg_adapters"]):
+with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.offline.readers"]):
+    from checked_arrays import checked_njit
+
+    numba.njit = checked_njit  # before the kernels are imported
     from encoders import ENCODERS, payload, synthetic
+    from limits import EVENTS_PER_BYTE, decode_within_limits
     from messages import event_array, event_packet, point_cloud
 
-    from msg_adapters import DecodeError, make_decoder, supported_types
+    from emoflow_ros.errors import InputError
+    from emoflow_ros.offline.readers.npz import NpzRecording
+    from emoflow_ros.offline.readers.prophesee_raw import PropheseeRawRecording
+    from msg_adapters import make_decoder, supported_types
 
     PACKET = "event_camera_msgs/msg/EventPacket"
     make_decoder(PACKET, "cdr")  # imports all formats and encodings, instrumented
 
+type Target = Callable[[bytes], None]
+
 DEFAULT_RUNS = 1_000_000
 MAX_LENGTH = 400
-MAX_EVENTS_PER_BYTE = 8
+DENSEST = max(EVENTS_PER_BYTE, key=EVENTS_PER_BYTE.__getitem__)
+READERS = {"raw": PropheseeRawRecording, "npz": NpzRecording}
 TARGETS = [
     *(f"{t}:{s}" for t in supported_types() for s in ("cdr", "ros1")),
     *(f"{PACKET}:{encoding}" for encoding in ENCODERS),
+    *(f"file:{suffix}" for suffix in READERS),
 ]
+# Damaged array headers make NumPy's parser raise what its documentation does not list.
+ON_DEMAND = {"file:npz"}
 
 
 def main() -> int:
     """Fuzz one target or all, each in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=DEFAULT_RUNS, help="inputs for each target")
-    parser.add_argument("--target", choices=TARGETS, help="default: all, one after another")
-    parser.add_argument("--corpus", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--seed", type=int, default=0, help="default 0: another one each time")
+    others = ", ".join(ON_DEMAND)
+    parser.add_argument("--target", choices=TARGETS, help=f"default: all but {others}")
     options = parser.parse_args()
-    if options.corpus:
-        fuzz(options.target, options.runs, options.corpus)
-    for target in [options.target] if options.target else TARGETS:
+    targets = [options.target] if options.target else [t for t in TARGETS if t not in ON_DEMAND]
+    starts = {target: valid_input(target) for target in targets}
+    for target, start in starts.items():
         print(f"== {target}: {options.runs} inputs", flush=True)
-        command = [sys.executable, __file__, "--target", target, "--runs", str(options.runs)]
-        with tempfile.TemporaryDirectory() as corpus:
-            (Path(corpus) / "valid").write_bytes(valid_input(target))
-            code = subprocess.run([*command, "--corpus", corpus], check=False).returncode
+        with tempfile.TemporaryDirectory() as folder:
+            process = os.fork()
+            if process == 0:
+                fuzz(target, start, options.runs, options.seed, Path(folder))
+            code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
         if code:
-            return code
+            print(f"== {target}: failed", flush=True)
+            return 1
     return 0
 
 
-def fuzz(target: str, runs: int, corpus: Path) -> None:
-    """Run libFuzzer on one target, starting from the corpus; ends the process."""
-    ros_type, kind = target.rsplit(":", 1)
-    decoder = make_decoder(ros_type, "ros1" if kind == "ros1" else "cdr")
-    wrap = _packet_of(kind) if kind in ENCODERS else bytes
-
-    def one_input(data: bytes) -> None:
-        message = wrap(data)
-        try:
-            decoded = decoder.decode(message)
-        except DecodeError:
-            return
-        count = len(decoded.events) + decoded.dropped_outside
-        if count > MAX_EVENTS_PER_BYTE * len(message):
-            raise AssertionError(f"{count} events out of {len(message)} bytes")
-
-    flags = [f"-atheris_runs={runs}", f"-max_len={MAX_LENGTH}", "-verbosity=0"]
+def fuzz(target: str, start: bytes, runs: int, seed: int, folder: Path) -> None:
+    """Run libFuzzer on one target, starting from a valid input; ends the process."""
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    (corpus / "valid").write_bytes(start)
+    name, kind = target.rsplit(":", 1)
+    one_input = read_file(kind, folder) if name == "file" else decode(name, kind)
+    flags = [f"-atheris_runs={runs}", f"-seed={seed}", f"-max_len={MAX_LENGTH}", "-verbosity=0"]
     flags.append(f"-artifact_prefix={tempfile.gettempdir()}/")
     atheris.Setup([sys.argv[0], *flags, str(corpus)], one_input)
     atheris.Fuzz()
 
 
+def decode(ros_type: str, kind: str) -> Target:
+    """Decode whole messages, or payloads in packets of an encoding, all by one decoder."""
+    decoder = make_decoder(ros_type, "ros1" if kind == "ros1" else "cdr")
+    if kind in ENCODERS:
+        wrap = _packet_of(kind)
+        return lambda data: _ignore(decode_within_limits(decoder, kind, wrap(data)))
+    limits = {"EventArray": "event_array", "PointCloud2": "point_cloud", "EventPacket": DENSEST}
+    limit = limits[ros_type.rpartition("/")[2]]
+    return lambda data: _ignore(decode_within_limits(decoder, limit, data))
+
+
+def read_file(suffix: str, folder: Path) -> Target:
+    """Open files of a format and read all of their events."""
+    path = folder / f"events.{suffix}"
+
+    def one_input(data: bytes) -> None:
+        path.write_bytes(_npz(data) if suffix == "npz" else data)
+        try:
+            with READERS[suffix](path) as recording:
+                count = sum(len(events) for events in recording.event_chunks())
+        except InputError:
+            return
+        if count > EVENTS_PER_BYTE[DENSEST] * len(data):
+            raise AssertionError(f"{count} events out of {len(data)} bytes")
+
+    return one_input
+
+
 def valid_input(target: str) -> bytes:
-    """Make the input to start from: a message, or a payload behind the byte that is seq."""
+    """Make the input to start from: a message or file, or a payload behind the byte that is seq."""
     ros_type, kind = target.rsplit(":", 1)
     events = synthetic(np.random.default_rng(3), 10)
+    if kind == "raw":
+        return b"% evt 3.0\n% geometry 346x260\n% end\n" + payload(ENCODERS["evt3"](events))
+    if kind == "npz":
+        return _npy(events.t)
     if kind in ENCODERS:
         return b"\0" + payload(ENCODERS[kind](events, int(events.t[0])))
     if ros_type == PACKET:
@@ -95,7 +136,11 @@ def valid_input(target: str) -> bytes:
     return point_cloud(points, kind)
 
 
-def _packet_of(encoding: str):
+def _ignore(_: object) -> None:
+    """A target returns nothing."""
+
+
+def _packet_of(encoding: str) -> Callable[[bytes], bytes]:
     """Make the input the payload of a packet; its first byte is the low byte of seq."""
     name = encoding.encode() + b"\0"
     start = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0" + bytes(3)
@@ -109,6 +154,22 @@ def _packet_of(encoding: str):
         return body + len(data[1:]).to_bytes(4, "little") + data[1:]
 
     return wrap
+
+
+def _npz(t: bytes) -> bytes:
+    """Make an archive of ten events whose member t.npy is the input, with a right checksum."""
+    file = BytesIO()
+    with ZipFile(file, "w") as archive:
+        for name in "xyp":
+            archive.writestr(f"{name}.npy", _npy(np.zeros(10, np.uint16)))
+        archive.writestr("t.npy", t)
+    return file.getvalue()
+
+
+def _npy(values: np.ndarray) -> bytes:
+    file = BytesIO()
+    np.save(file, values)
+    return file.getvalue()
 
 
 if __name__ == "__main__":

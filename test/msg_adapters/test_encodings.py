@@ -145,6 +145,15 @@ def test_libcaer_rolls_over_inside_a_packet():
     assert stream.statistics.time_wraps == 1
 
 
+def test_libcaer_may_roll_over_many_times_inside_a_packet():
+    stream = Stream(libcaer, "<u4")
+    pairs = 10_000
+    decoded = stream(*[1, 0x7FFFFFFF, 1, 0] * pairs)
+    expected = [(k << 31) + us for k in range(pairs) for us in (0x7FFFFFFF, 1 << 31)]
+    assert [t for _, _, t, _ in decoded] == expected
+    assert stream.statistics.time_wraps == pairs
+
+
 def test_mono_words():
     stream = Stream(mono, "<u8")
     assert stream(1 << 63 | 200 << 48 | 300 << 32 | 4_000_000_000, time_base=1000) == [
