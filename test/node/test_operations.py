@@ -1,7 +1,8 @@
-"""The table of faults in docs/operations.md, against the tests that it names."""
+"""The tables in docs/operations.md, against the tests that they name and the node's help."""
 
 import ast
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,3 +48,25 @@ def test_table_lists_the_faults_that_were_asked_for() -> None:
         "more events", "no events", "QoS", "SIGTERM",
     ):  # fmt: skip
         assert word in faults
+
+
+def test_help_lists_the_topics_and_what_must_be_given(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+    from emoflow_ros.node.estimator import main
+
+    monkeypatch.setattr(sys, "argv", ["estimator", "--help"])
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main()
+    said = capsys.readouterr().out
+    section = (ROOT / "docs" / "operations.md").read_text().partition("## Topics")[2]
+    rows = [cells(row) for row in section.partition("\n## ")[0].splitlines() if row[:3] == "| `"]
+    directions = {row[0].strip("`"): row[2] for row in rows}
+    assert set(directions.values()) == {"in", "out"}
+    received, published = said.split("topics out:")
+    for topic, direction in directions.items():
+        assert re.search(rf"(?m)(^|, |  ){topic}\b", received if direction == "in" else published)
+    assert "Nothing is estimated without a calibration" in published
+    assert "camera.calibration_file" in published
+    assert "nothing needs to be given" not in said
