@@ -8,6 +8,7 @@ they are nanoseconds. `width` and `height` may give the sensor's size.
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 from zipfile import BadZipFile, is_zipfile
 
@@ -23,6 +24,11 @@ _UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
 _EPOCH_NS = 10**17
 _HOUR_US = 3_600_000_000
 _SIZES = ("width", "height")
+# SyntaxError, TokenError, TypeError: from NumPy's parser of an array's header.
+_DAMAGED = (
+    OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error,
+    SyntaxError, TokenError, TypeError,
+)  # fmt: skip
 _LAYOUT = "save x, y, t (or t_s, t_us, t_ns) and p of equal length"
 
 
@@ -49,7 +55,7 @@ class NpzRecording(FileRecording):
         self._events = Events(_pixels(x), _pixels(y), _to_ns(t_name, t), p > 0)
         self.size = _size(path, arrays)
         if len(x):
-            self.duration = float(self._events.t[-1] - self._events.t[0]) / NS_PER_S
+            self.duration = (int(self._events.t[-1]) - int(self._events.t[0])) / NS_PER_S
 
     @staticmethod
     def matches(path: Path) -> bool:
@@ -76,7 +82,7 @@ def _load(path: Path) -> dict[str, NDArray[Any]]:
                 value = archive[name]
                 if isinstance(value, np.ndarray):  # other members come as bytes
                     arrays[name] = value
-    except (OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error) as error:
+    except _DAMAGED as error:
         if "Object arrays" in str(error):
             raise InputError(path, f"{name} holds Python objects", "save numbers") from None
         part = f" ({name} cannot be read)" if name else ""
