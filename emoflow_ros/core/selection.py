@@ -26,9 +26,9 @@ _NOTHING_PX = 0.15
 _NOTHING_SHARE = 0.015
 _HYSTERESIS = 1.25  # of a rotation ...
 _INERTIA = 1.5  # ... and of travel, which passes through moments that look like rotation
-_STRAIGHT = 1.0  # Wald's statistic up to which a camera that travels is taken not to turn ...
-_TURNING = 2.0  # ... until it comes to this
-_SETTLED = 3  # windows that travel without rotation takes to be believed
+_STRAIGHT = 0.7  # Wald's statistic up to which a camera that travels is taken not to turn ...
+_TURNING = 1.2  # ... until it comes to this
+_SETTLED = 4  # windows that travel without rotation takes to be believed
 
 
 @dataclass
