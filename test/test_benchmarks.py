@@ -22,6 +22,14 @@ MS = 1_000_000
 NAN = float("nan")
 
 
+def test_twists_belong_to_the_window_whose_latest_part_they_hold_for():
+    """Whole windows are stamped at their middle, where the window before ends; parts later."""
+    node = pytest.importorskip("benchmarks.node", reason="no ROS: run `make test`")
+    last_events = {135: 134, 202: 201, 270: 269}  # by the windows' ends
+    twists = {90: 1.0, 135: 2.0, 230: 3.0, 300: 4.0}  # the last one of a window not expected
+    assert node._by_window(last_events, twists) == {135: 1.0, 202: 2.0, 270: 3.0}
+
+
 def result(angular=(0, 0, 0), linear=(0, 0, 1), true_angular=(0, 0, 0), true_linear=(0, 0, 1)):
     return WindowResult(
         index=0,
