@@ -1,12 +1,16 @@
 """What every executable shares: one clear line for bad input, honest exit codes."""
 
+import os
+import select
 import sys
 from collections.abc import Callable
+from typing import TextIO
 
 from emoflow_ros.errors import InputError
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+EXIT_NO_READER = 141  # as a shell reports SIGPIPE
 
 
 def run(command: Callable[[], int | None]) -> int:
@@ -14,13 +18,45 @@ def run(command: Callable[[], int | None]) -> int:
 
     Returns:
         The command's own code (None counts as 0), 2 for an InputError (its line goes to
-        standard error), 130 for Ctrl-C. Anything else is a bug and keeps its traceback.
+        standard error), 130 for Ctrl-C, 141 where nobody reads the output any more, as after
+        `| head`. Anything else is a bug and keeps its traceback.
     """
     try:
-        return command() or 0
+        return _run_and_flush(command)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        unread = [stream for stream in (sys.stdout, sys.stderr) if _has_lost_its_reader(stream)]
+        if not unread:  # a pipe of the command's own
+            raise
+        for stream in unread:  # what is buffered would raise again at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return EXIT_NO_READER
+
+
+def _run_and_flush(command: Callable[[], int | None]) -> int:
+    """Run a command; what it printed is written before Python's exit, which would complain."""
+    try:
+        code = command() or 0
+    except SystemExit:  # argparse has printed its help
+        print(end="", flush=True)
+        raise
+    print(end="", flush=True)
+    return code
+
+
+def _has_lost_its_reader(stream: TextIO | None) -> bool:
+    """Tell whether a stream is a pipe (or socket) that is closed at its other end."""
+    try:
+        descriptor = stream.fileno() if stream else -1
+    except OSError:  # not a file: replaced within Python
+        return False
+    if descriptor < 0:
+        return False
+    poll = select.poll()
+    poll.register(descriptor, 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))

@@ -1,0 +1,71 @@
+"""Executables whose output nobody reads to its end, as in `info BAG | head -1`."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from emoflow_ros.cli import EXIT_NO_READER
+
+RUN = "import argparse, os, sys; from emoflow_ros.cli import run; sys.exit(run(lambda: {}))"
+
+
+def start(*arguments, **options):
+    """Start Python with its usual buffers, whatever the tests run with."""
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    environment = {**os.environ, "PYTHONUNBUFFERED": ""}
+    return subprocess.Popen([sys.executable, *map(str, arguments)], env=environment, **options)
+
+
+def unread(*arguments, stream="stdout"):
+    """Run with one stream a pipe without a reader; return the exit code and the other stream."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with start(*arguments, **{stream: writer}) as process:
+        os.close(writer)
+        output = b"".join(filter(None, process.communicate(timeout=100)))
+    return process.returncode, output
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "print('x' * 1_000_000)",  # fails in print
+        "print('x')",  # fails when the buffer is written
+        "print('x', flush=True)",
+        "argparse.ArgumentParser(prog='x').parse_args(['--help'])",
+    ],
+)
+def test_output_that_nobody_reads_ends_a_command_without_a_word(command):
+    assert unread("-c", RUN.format(command)) == (EXIT_NO_READER, b"")
+
+
+def test_progress_that_nobody_reads_ends_a_command_too():
+    command = RUN.format("[print('before'), print('x', file=sys.stderr), print('after')]")
+    assert unread("-c", command, stream="stderr") == (EXIT_NO_READER, b"before\n")
+
+
+def test_a_broken_pipe_of_the_commands_own_keeps_its_traceback():
+    """Also where its output is buffered: only a stream without a reader is silent."""
+    command = "[print('before'), (ends := os.pipe()), os.close(ends[0]), os.write(ends[1], b'x')]"
+    with start("-c", RUN.format(command)) as process:
+        output, error = process.communicate(timeout=100)
+    assert process.returncode == 1
+    assert output == b"before\n"
+    assert error.startswith(b"Traceback") and b"BrokenPipeError" in error
+
+
+def test_a_closed_standard_output_is_no_error():
+    process = start("-c", RUN.format("print('x')"), preexec_fn=lambda: os.close(1), stdout=None)
+    with process:
+        assert process.communicate(timeout=100)[1] == b""
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_info_without_a_reader(tmp_path, options):
+    path = tmp_path / "a.npz"
+    np.savez(path, x=[1, 2], y=[1, 2], p=[0, 1], t=[0.0, 0.5])
+    assert unread("-m", "emoflow_ros.offline.info", *options, path) == (EXIT_NO_READER, b"")
