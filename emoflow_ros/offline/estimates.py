@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import h5py
 import numpy as np
@@ -15,97 +15,13 @@ from numpy.typing import NDArray
 import emoflow_ros
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.tracks import INSTANTS
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.columns import COLUMNS, TEXT, Column, flow_column, track_columns
 from emoflow_ros.offline.tracks import Tracks
 
 FORMAT = "emoflow_ros/estimates"
 VERSION = 1
-_ROWS_PER_CHUNK = 256
-_TRACK_ROWS_PER_CHUNK = 16
-
-
-class Column(NamedTuple):
-    """A data set with one row per window.
-
-    Attributes:
-        shape: of a row.
-        dtype: as h5py takes it.
-        unit: empty where there is none.
-        description: what a row means.
-        chunk: rows stored together; columns of large rows have few, and are compressed.
-    """
-
-    shape: tuple[int, ...]
-    dtype: Any
-    unit: str
-    description: str
-    chunk: int = _ROWS_PER_CHUNK
-
-
-TEXT = h5py.string_dtype()
-_COLUMNS = {
-    "t_start": Column((), "f8", "s", "start of the window, in the recording's event time"),
-    "t_end": Column((), "f8", "s", "end of the window (exclusive)"),
-    "t_start_ns": Column((), "i8", "ns", "t_start without rounding"),
-    "t_end_ns": Column((), "i8", "ns", "t_end without rounding"),
-    "t": Column((), "f8", "s", "time that linear and angular hold at"),
-    "linear": Column(
-        (3,),
-        "f8",
-        "1",
-        "unit direction of the camera's velocity in its optical frame (x right, y down, "
-        "z forward); zeros where not observable",
-    ),
-    "angular": Column(
-        (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN unless status is ok"
-    ),
-    "covariance": Column(
-        (6, 6),
-        "f8",
-        "1, rad/s",
-        "of (linear, angular); [0, 0] is -1 where translation is not observable",
-    ),
-    "translation_observable": Column((), "?", "", "whether linear holds a direction"),
-    "status": Column((), TEXT, "", "ok, or why there is no estimate"),
-    "model": Column((), TEXT, "", "full, rotation, translation or static"),
-    "events": Column((), "i8", "1", "events of the window that were used"),
-    "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
-}
-
-
-def _track_columns(points: int) -> dict[str, Column]:
-    rows = _TRACK_ROWS_PER_CHUNK
-    return {
-        "tracks": Column(
-            (INSTANTS, points, 2),
-            "f4",
-            "px",
-            "positions (x, y) of the tracked points at track_times_ns; NaN from where a point "
-            "leaves the image on, and unless status is ok",
-            rows,
-        ),
-        "track_times_ns": Column((INSTANTS,), "i8", "ns", "times of the tracks' positions", rows),
-        "track_id": Column(
-            (points,),
-            "i8",
-            "",
-            "number of each point's track; it changes where a new one begins",
-            rows,
-        ),
-    }
-
-
-def _flow_column(camera: Camera) -> Column:
-    return Column(
-        (camera.height, camera.width, 2),
-        "f2",
-        "px",
-        "displacement (u right, v down) over the window of the pixels of t_start; NaN unless "
-        "status is ok",
-        chunk=1,
-    )
 
 
 class EstimatesWriter:
@@ -164,9 +80,9 @@ class EstimatesWriter:
                 **(attributes or {}),
             }
         )
-        columns = _COLUMNS | (_track_columns(tracks) if tracks else {}) | dict(more or {})
+        columns = COLUMNS | (track_columns(tracks) if tracks else {}) | dict(more or {})
         if save_flow:
-            columns["flow"] = _flow_column(camera)
+            columns["flow"] = flow_column(camera)
         for name, column in columns.items():
             self._create(name, column)
         self._rows, self._datasets = 0, dict(self._file.items())
@@ -226,15 +142,14 @@ class EstimatesWriter:
         self._file.close()
 
     def _create(self, name: str, column: Column) -> None:
-        compressed = column.chunk < _ROWS_PER_CHUNK
         dataset = self._file.create_dataset(
             name,
             (0, *column.shape),
             column.dtype,
             maxshape=(None, *column.shape),
             chunks=(column.chunk, *column.shape),
-            compression="gzip" if compressed else None,
-            shuffle=compressed,
+            compression="gzip" if column.compressed else None,
+            shuffle=column.compressed,
         )
         dataset.attrs["unit"] = column.unit
         dataset.attrs["description"] = column.description
@@ -285,10 +200,10 @@ def read_estimates(path: Path) -> Estimates:
                 raise InputError(path, wrong, "write it again with this version of evaluate")
             camera = json.loads(file.attrs["camera"])
             camera["distortion"] = tuple(camera["distortion"])
-            tracked = _track_columns(0) if "tracks" in file else {}
+            tracked = track_columns(0) if "tracks" in file else {}
             columns = {
                 name: file[name].asstr()[:] if column.dtype is TEXT else file[name][:]
-                for name, column in (_COLUMNS | tracked).items()
+                for name, column in (COLUMNS | tracked).items()
             }
             return Estimates(
                 path=path,

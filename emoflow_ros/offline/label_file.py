@@ -18,7 +18,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.estimates import TEXT, Column, EstimatesWriter
+from emoflow_ros.offline.columns import TEXT, Column
+from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.metrics import event_mask
 
 _HEAD = 1 << 20  # bytes

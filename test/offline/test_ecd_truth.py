@@ -1,4 +1,4 @@
-"""ECD's poses and gyroscope: both are read, and the report says which is which."""
+"""ECD's files of truth: what each says, and of poses and gyroscope which is which."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.truth import load_truth
-from emoflow_ros.offline.truth.ecd import load_gyro
+from emoflow_ros.offline.truth.ecd import load_gyro, load_motion, load_poses
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 RATE = np.array([0.2, -0.4, 0.1])
@@ -58,15 +58,36 @@ def test_gyro_is_the_mean_of_the_readings_around(tmp_path):
     assert gyro.twist(200 * NS_PER_MS) is None
 
 
+def test_motion_is_a_constant_rotation(tmp_path):
+    path = tmp_path / "motion.txt"
+    path.write_text("0.1 -0.2 0.3\n")
+    truth = load_motion(path, CAMERA)
+    np.testing.assert_allclose(truth.twists.twist(0).angular, [0.1, -0.2, 0.3])
+    assert truth.twists.twist(0).linear is None
+    assert truth.flows.displacement(0, 1000).valid.all()
+
+
+def test_velocity_is_the_slope_of_the_poses(tmp_path):
+    path = tmp_path / "groundtruth.txt"
+    rows = [f"{k * 0.01} {k * 0.02} 0 0 0 0 0 1" for k in range(100)]
+    path.write_text("\n".join(rows))
+    twist = load_poses(path, CAMERA).twists.twist(NS_PER_S // 2)
+    np.testing.assert_allclose(twist.linear, [2, 0, 0], atol=1e-9)
+
+
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("load", "text", "words"),
     [
-        ("0 0 0 0 1 2", "lines of 6 numbers; give lines 't ax ay az gx gy gz'"),
-        ("1 0 0 0 0 0 0\n0.9 0 0 0 0 0 0", "not increasing"),
+        (load_motion, "1 2", "lines of 2 numbers"),
+        (load_motion, "1 2 3\n1 2 3\n", "holds 2 lines"),
+        (load_motion, "a b c", "not a table"),
+        (load_poses, "0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", "not increasing"),
+        (load_gyro, "0 0 0 0 1 2", "lines of 6 numbers; give lines 't ax ay az gx gy gz'"),
+        (load_gyro, "1 0 0 0 0 0 0\n0.9 0 0 0 0 0 0", "not increasing"),
     ],
 )
-def test_bad_gyro_files(tmp_path, text, words):
-    path = tmp_path / "imu.txt"
+def test_bad_files(tmp_path, load, text, words):
+    path = tmp_path / "truth.txt"
     path.write_text(text)
     with pytest.raises(InputError, match=words):
-        load_gyro(path, CAMERA)
+        load(path, CAMERA)

@@ -9,7 +9,6 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.truth.base import TrueFlow
 from emoflow_ros.offline.truth.depth import DepthFlowMaps
-from emoflow_ros.offline.truth.ecd import load_motion, load_poses
 from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
 from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
 from emoflow_ros.offline.truth.poses import PoseTrack, PoseTwist
@@ -270,36 +269,3 @@ class TestDepth:
         flow = DepthFlowMaps(LENS, turning, stamps, lambda i: depth, "test").read(0)
         expected = ConstantRotation(LENS, w, "test").displacement(*stamps.tolist())
         np.testing.assert_allclose(flow, expected.displacement, atol=1e-3)
-
-
-class TestEcdFiles:
-    def test_motion(self, tmp_path):
-        path = tmp_path / "motion.txt"
-        path.write_text("0.1 -0.2 0.3\n")
-        truth = load_motion(path, CAMERA)
-        np.testing.assert_allclose(truth.twists.twist(0).angular, [0.1, -0.2, 0.3])
-        assert truth.twists.twist(0).linear is None
-        assert truth.flows.displacement(0, 1000).valid.all()
-
-    def test_poses(self, tmp_path):
-        path = tmp_path / "groundtruth.txt"
-        rows = [f"{k * 0.01} {k * 0.02} 0 0 0 0 0 1" for k in range(100)]
-        path.write_text("\n".join(rows))
-        twist = load_poses(path, CAMERA).twists.twist(NS_PER_S // 2)
-        np.testing.assert_allclose(twist.linear, [2, 0, 0], atol=1e-9)
-
-    @pytest.mark.parametrize(
-        ("name", "text", "words"),
-        [
-            ("motion.txt", "1 2", "lines of 2 numbers"),
-            ("motion.txt", "1 2 3\n1 2 3\n", "holds 2 lines"),
-            ("motion.txt", "a b c", "not a table"),
-            ("groundtruth.txt", "0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", "not increasing"),
-        ],
-    )
-    def test_bad_files(self, tmp_path, name, text, words):
-        path = tmp_path / name
-        path.write_text(text)
-        load = {"motion.txt": load_motion, "groundtruth.txt": load_poses}[name]
-        with pytest.raises(InputError, match=words):
-            load(path, CAMERA)
