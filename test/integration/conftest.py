@@ -31,6 +31,7 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_messages.sh")
 
 from harness import Peer, Processes  # noqa: E402
+from shared_node import SharedNode  # noqa: E402
 
 
 @pytest.fixture
@@ -43,3 +44,16 @@ def peer() -> Iterator[Peer]:
 def processes(tmp_path: Path) -> Iterator[Processes]:
     with Processes(tmp_path) as made:
         yield made
+
+
+@pytest.fixture(scope="module")
+def recorder_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
+    with Processes(tmp_path_factory.mktemp("shared")) as made:
+        yield SharedNode(made, "fake_estimators:Recorder", "window.duration_ms:=10.0")
+
+
+@pytest.fixture
+def recorder(recorder_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
+    """The node with the fake estimator `Recorder`; for the test to `start`, before `peer` ends."""
+    yield recorder_node
+    recorder_node.stop()

@@ -61,9 +61,14 @@ def children(pid: int) -> list[int]:
 
 
 class Peer:
-    """A node in the test's own process that publishes what a driver would and collects answers."""
+    """A node in the test's own process that publishes what a driver would and collects answers.
 
-    def __init__(self, events_topic: str = "/cam/events") -> None:
+    Args:
+        events_topic: where it publishes events. `/events` is what the node asks for; any other
+            it takes only once its graph has been quiet for a second.
+    """
+
+    def __init__(self, events_topic: str = "/events") -> None:
         self.context = Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("peer", context=self.context)

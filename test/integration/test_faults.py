@@ -8,6 +8,7 @@ import pytest
 from geometry_msgs.msg import TwistStamped
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
 from sensor_msgs.msg import CameraInfo
+from shared_node import SharedNode
 
 from emoflow_ros.core.camera import Camera
 
@@ -48,22 +49,24 @@ def test_simulated_time_may_stand_still(peer: Peer, processes: Processes) -> Non
 
 
 def test_incompatible_qos_is_said_with_both_sides(peer: Peer, processes: Processes) -> None:
-    override = "qos_overrides./cam/events.subscription.reliability:=reliable"
+    override = "qos_overrides./events.subscription.reliability:=reliable"
     node = processes.start_fake("Recorder", "-p", override)
     peer.hear()
     said = (
-        "/cam/events: no event arrives: a publisher offers best_effort volatile, but "
-        "reliable volatile is asked for; change qos_overrides./cam/events.subscription.*"
+        "/events: no event arrives: a publisher offers best_effort volatile, but "
+        "reliable volatile is asked for; change qos_overrides./events.subscription.*"
     )
     peer.spin_until(lambda: said in processes.output(node), "the reason")
     assert peer.events.get_subscription_count() == 0
-    [subscription] = peer.node.get_subscriptions_info_by_topic("/cam/events")
+    [subscription] = peer.node.get_subscriptions_info_by_topic("/events")
     assert subscription.qos_profile.reliability.name == "RELIABLE"  # the override is honoured
 
 
-def test_subscriber_that_never_reads_holds_up_nobody(peer: Peer, processes: Processes) -> None:
+def test_subscriber_that_never_reads_holds_up_nobody(
+    peer: Peer, processes: Processes, recorder: SharedNode
+) -> None:
     stuck = processes.start(sys.executable, "-c", SUBSCRIBER)
-    processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
+    recorder.start(peer, {"input.queue_windows": 50})
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
@@ -81,13 +84,13 @@ def test_subscriber_that_never_reads_holds_up_nobody(peer: Peer, processes: Proc
 
 
 def test_camera_info_that_comes_late_finds_the_windows_waiting(
-    peer: Peer, processes: Processes
+    peer: Peer, recorder: SharedNode
 ) -> None:
-    processes.start_fake("Recorder")
+    recorder.start(peer)
     peer.connect()
     run_windows(peer, 1000, 1031)
     peer.spin_until(lambda: peer.status().get("events") == "35", "the events arrived")
-    missing = "no calibration yet: publish /cam/camera_info or give camera.calibration_file"
+    missing = "no calibration yet: publish /camera_info or give camera.calibration_file"
     assert peer.status()["message"] == missing
     peer.publish_camera()
     peer.spin_until(lambda: len(peer.twists) == 3, "the windows that waited")
@@ -95,29 +98,29 @@ def test_camera_info_that_comes_late_finds_the_windows_waiting(
 
 
 def test_camera_info_of_another_sensor_starts_windows_anew(
-    peer: Peer, processes: Processes
+    peer: Peer, recorder: SharedNode
 ) -> None:
-    node = processes.start_fake("Recorder")
+    recorder.start(peer)
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: len(peer.twists) == 1, "a window")
     peer.publish_camera(SMALL)
-    peer.spin_until(lambda: "calibration: 32x24" in processes.output(node), "the new one")
+    peer.spin_until(lambda: "calibration: 32x24" in recorder.output, "the new one")
     run_windows(peer, 1015, 1036, camera=SMALL)
     peer.spin_until(lambda: len(peer.twists) == 3, "two windows more")
     assert [t.twist.angular.z for t in peer.twists] == [64, 32, 32]
     assert {t.twist.angular.x for t in peer.twists} == {10}  # no window holds events of both
-    assert processes.output(node).count("calibration: ") == 2
+    assert recorder.output.count("calibration: ") == 2
 
 
 @pytest.mark.parametrize(
     ("size", "reason"), [((0, 0), "size 0x0"), ((60_000, 60_000), "size 60000x60000")]
 )
 def test_camera_info_of_an_impossible_size_is_refused(
-    peer: Peer, processes: Processes, size: tuple[int, int], reason: str
+    peer: Peer, recorder: SharedNode, size: tuple[int, int], reason: str
 ) -> None:
-    processes.start_fake("Recorder")
+    recorder.start(peer)
     peer.connect()
     k = [50.0, 0.0, 32.0, 0.0, 50.0, 24.0, 0.0, 0.0, 1.0]
     peer.publish_camera_info(CameraInfo(width=size[0], height=size[1], k=k))
@@ -127,8 +130,8 @@ def test_camera_info_of_an_impossible_size_is_refused(
     peer.spin_until(lambda: len(peer.twists) == 1, "a window with the good one")
 
 
-def test_malformed_messages_at_100_hz_cost_no_good_one(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
+def test_malformed_messages_at_100_hz_cost_no_good_one(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer, {"input.queue_windows": 50})
     peer.connect()
     peer.publish_camera()
     rng = np.random.default_rng(3)
@@ -139,7 +142,7 @@ def test_malformed_messages_at_100_hz_cost_no_good_one(peer: Peer, processes: Pr
     peer.spin_until(lambda: len(peer.twists) == 100, "all windows of the good messages")
     assert {t.twist.angular.x for t in peer.twists} == {10.0}
     peer.spin_until(lambda: peer.status()["malformed_messages"] == "201", "the count")
-    assert processes.output(node).count("malformed") <= 2  # in 2 s and more: throttled
+    assert recorder.output.count("malformed") <= 2  # in 2 s and more: throttled
     said = {s.message for d in peer.diagnostics for s in d.status}
     assert any("malformed messages: check the driver's message version" in m for m in said)
 

@@ -10,9 +10,7 @@ import pytest
 from harness import CAMERA, MS, WAIT_S, Peer, Processes, children, contention, wait_for
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from shared_node import NAME, SharedNode
 
 from emoflow_ros.core.camera import Camera
 
@@ -35,8 +33,8 @@ def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
         peer.publish_events(t * MS, x=x)
 
 
-def test_twist_holds_what_the_estimator_said(peer: Peer, processes: Processes) -> None:
-    processes.start_fake("Recorder")
+def test_twist_holds_what_the_estimator_said(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer)
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1031)
@@ -53,9 +51,9 @@ def test_twist_holds_what_the_estimator_said(peer: Peer, processes: Processes) -
     np.testing.assert_array_equal(peer.covariances[0].twist.covariance, np.eye(6).ravel())
 
 
-def test_flow_image_is_in_pixels_per_second(peer: Peer, processes: Processes) -> None:
+def test_flow_image_is_in_pixels_per_second(peer: Peer, recorder: SharedNode) -> None:
     peer.subscribe_flow()
-    processes.start_fake("Recorder", "-p", "camera.frame_id:=my_frame")
+    recorder.start(peer, {"camera.frame_id": "my_frame"})
     peer.connect()
     peer.publish_camera()
 
@@ -95,23 +93,8 @@ def test_signal_ends_the_node_mid_optimisation(
     assert "Traceback" not in processes.output(node)
 
 
-def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Dying")
-    peer.connect()
-    peer.publish_camera()
-    run_windows(peer, 1000, 1020)
-    run_windows(peer, 1020, 1030, x=7)  # the third window
-    run_windows(peer, 1030, 1061)
-    peer.spin_until(lambda: len(peer.twists) == 5, "all windows but one")
-    assert [stamp(t) // MS for t in peer.twists] == [1005, 1015, 1035, 1045, 1055]
-    lines = [line for line in processes.output(node).splitlines() if "ERROR" in line]
-    assert len(lines) == 1
-    assert "the worker died (signal 9); it is started again" in lines[0]
-    peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
-
-
-def test_malformed_messages_among_good_ones(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=20")
+def test_malformed_messages_among_good_ones(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer, {"input.queue_windows": 20})
     peer.connect()
     peer.publish_camera()
     rng = np.random.default_rng(3)
@@ -122,12 +105,12 @@ def test_malformed_messages_among_good_ones(peer: Peer, processes: Processes) ->
     peer.spin_until(lambda: len(peer.twists) == 10, "all windows of the good messages")
     assert {t.twist.angular.x for t in peer.twists} == {10.0}
     peer.spin_until(lambda: peer.status().get("malformed_messages") == "42", "the count")
-    assert processes.output(node).count("malformed") == 1  # throttled
-    assert node.poll() is None
+    assert recorder.output.count("malformed") == 1  # throttled
+    assert recorder.is_running
 
 
-def test_jump_back_in_time_resets_once(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Recorder")
+def test_jump_back_in_time_resets_once(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer)
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 5000, 5021)
@@ -136,31 +119,11 @@ def test_jump_back_in_time_resets_once(peer: Peer, processes: Processes) -> None
     peer.spin_until(lambda: len(peer.twists) == 4, "windows after the jump")
     assert [stamp(t) // MS for t in peer.twists] == [5005, 5015, 1005, 1015]
     assert [t.twist.angular.y for t in peer.twists] == [1, 2, 1, 2]  # cold after the jump
-    assert processes.output(node).count("event time went back") == 1
+    assert recorder.output.count("event time went back") == 1
 
 
-def test_overload_drops_the_oldest_windows_and_recovers(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Slow", "-p", "input.queue_windows:=3")
-    peer.connect()
-    peer.publish_camera()
-    run_windows(peer, 1000, 1401)  # 40 windows at once
-    peer.spin_until(lambda: stamp_ms(peer) == 1395, "the newest window")
-    received = len(peer.twists)
-    assert 3 <= received < 40
-    peer.spin_until(lambda: peer.status().get("windows_ok") == str(received), "the count")
-    assert int(peer.status()["windows_dropped"]) == 40 - received
-    assert "slower than the events" in "".join(
-        s.message for d in peer.diagnostics for s in d.status
-    )
-    for t in (1405, 1410):  # one window, in time
-        peer.publish_events(t * MS)
-    peer.spin_until(lambda: stamp_ms(peer) == 1405, "the window after the overload")
-    assert int(peer.status()["windows_dropped"]) == 40 - received
-    assert node.poll() is None
-
-
-def test_silence_warns_and_ends_without_a_restart(peer: Peer, processes: Processes) -> None:
-    processes.start_fake("Recorder", "-p", "input.silence_s:=0.5")
+def test_silence_warns_and_ends_without_a_restart(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer, {"input.silence_s": 0.5})
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
@@ -175,16 +138,13 @@ def test_silence_warns_and_ends_without_a_restart(peer: Peer, processes: Process
     peer.spin_until(lambda: len(peer.twists) >= 2, "windows before and after the silence")
 
 
-def test_window_length_changes_at_the_next_window(peer: Peer, processes: Processes) -> None:
-    processes.start_fake("Recorder")
+def test_window_length_changes_at_the_next_window(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer)
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: len(peer.twists) == 1, "a window of 10 ms")
-    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=20.0)
-    wish = [ParameterMessage(name="window.duration_ms", value=value)]
-    answer = peer.call(SetParameters, "/estimator/set_parameters", parameters=wish)
-    assert [r.successful for r in answer.results] == [True]
+    recorder.set({"window.duration_ms": 20.0})
     run_windows(peer, 1015, 1041)
     peer.spin_until(lambda: len(peer.twists) == 2, "a window of 20 ms")
     assert stamp_ms(peer) == 1025
@@ -213,35 +173,33 @@ def test_managed_node_goes_through_its_states(peer: Peer, processes: Processes) 
         peer.spin_until(lambda: set(_descendants(node.pid)) < workers, "no worker")  # noqa: B023
 
 
-def test_impossible_transition_does_not_end_the_node(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Recorder")
+def test_impossible_transition_does_not_end_the_node(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer)
     peer.connect()
-    client = peer.node.create_client(ChangeState, "/estimator/change_state")
+    client = peer.node.create_client(ChangeState, f"/{NAME}/change_state")
     peer.spin_until(client.service_is_ready, "the service")
     client.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CLEANUP)))
-    peer.spin_until(lambda: "a request is refused" in processes.output(node), "the refusal")
+    peer.spin_until(lambda: "a request is refused" in recorder.output, "the refusal")
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: len(peer.twists) == 1, "a twist afterwards")
 
 
-def test_events_of_another_sensor_are_refused(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Recorder")
+def test_events_of_another_sensor_are_refused(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer)
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: len(peer.twists) == 1, "a window")
     peer.publish_events(1011 * MS, camera=Camera(32, 24, 20.0, 20.0, 16.0, 12.0))
     peer.spin_until(lambda: peer.status().get("wrong_size_messages") == "1", "the count")
-    assert "events of a 32x24 sensor do not fit the calibration of a 64x48 one" in (
-        processes.output(node)
-    )
+    assert "events of a 32x24 sensor do not fit the calibration of a 64x48 one" in recorder.output
 
 
 def test_uncalibrated_camera_info_is_named_and_a_good_one_accepted(
-    peer: Peer, processes: Processes
+    peer: Peer, recorder: SharedNode
 ) -> None:
-    node = processes.start_fake("Recorder")
+    recorder.start(peer)
     peer.connect()
     info = peer.camera_info.msg_type(width=64, height=48)  # K is zero
     peer.publish_camera_info(info)
@@ -249,39 +207,35 @@ def test_uncalibrated_camera_info_is_named_and_a_good_one_accepted(
     peer.spin_until(lambda: "focal lengths" in peer.status()["message"], "the diagnosis")
     peer.publish_camera()
     peer.spin_until(lambda: len(peer.twists) == 1, "the window that waited")
-    assert processes.output(node).count("focal lengths") == 1
+    assert recorder.output.count("focal lengths") == 1
 
 
-def test_events_on_two_topics_are_listed(peer: Peer, processes: Processes) -> None:
-    with Peer("/other/events"):
-        node = processes.start_fake("Recorder")
-        peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
-        assert "/cam/events, /other/events; choose with --ros-args -r events:=/cam/events" in (
-            processes.output(node)
-        )
+def test_second_event_topic_opens_the_choice_until_events_flow(processes: Processes) -> None:
+    with Peer("/cam/events") as peer:
+        with Peer("/other/events"):  # there before the node is
+            node = processes.start_fake("Recorder")
+            peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
+            assert "/cam/events, /other/events; choose with --ros-args -r events:=/cam/events" in (
+                processes.output(node)
+            )
+        peer.connect()
+        peer.spin_until(lambda: "no calibration" in peer.status()["message"], "the answer")
+        with Peer("/other/events"):  # and once more, before the first event
+            peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
+            assert peer.events.get_subscription_count() == 0
+        peer.connect()
+        peer.publish_camera()
+        run_windows(peer, 1000, 1011)
+        peer.spin_until(lambda: len(peer.twists) == 1, "a twist")
+        with Peer("/other/events"):
+            question = "event topics besides it: /other/events; choose with"
+            peer.spin_until(lambda: question in processes.output(node), "the warning")
+            run_windows(peer, 1015, 1021)
+            peer.spin_until(lambda: len(peer.twists) == 2, "it goes on")
 
 
-def test_second_event_topic_opens_the_choice_until_events_flow(
-    peer: Peer, processes: Processes
-) -> None:
-    node = processes.start_fake("Recorder")
-    peer.connect()
-    with Peer("/other/events"):
-        peer.spin_until(lambda: "2 event topics" in peer.status()["message"], "the question")
-        assert peer.events.get_subscription_count() == 0
-    peer.connect()
-    peer.publish_camera()
-    run_windows(peer, 1000, 1011)
-    peer.spin_until(lambda: len(peer.twists) == 1, "a twist")
-    with Peer("/other/events"):
-        question = "event topics besides it: /other/events; choose with"
-        peer.spin_until(lambda: question in processes.output(node), "the warning")
-        run_windows(peer, 1015, 1021)
-        peer.spin_until(lambda: len(peer.twists) == 2, "it goes on")
-
-
-def test_remapped_topic_is_taken(peer: Peer, processes: Processes) -> None:
-    with Peer("/other/events") as other:
+def test_remapped_topic_is_taken(processes: Processes) -> None:
+    with Peer("/cam/events") as peer, Peer("/other/events") as other:
         node = processes.start_fake("Recorder", "-r", "events:=/other/events")
         other.connect()
         assert peer.events.get_subscription_count() == 0

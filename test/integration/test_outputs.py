@@ -10,12 +10,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import Image
+from shared_node import SharedNode
 from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
@@ -45,13 +42,17 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {v.key: v.value for v in status.values}
 
 
+type Start = Callable[..., SharedNode]
+
+
 @pytest.fixture
-def start(peer: Peer, processes: Processes) -> Callable[..., Any]:
-    def make(estimator: str, *arguments: str) -> Any:
-        node = processes.start_fake(estimator, *arguments)
+def start(peer: Peer, recorder: SharedNode) -> Start:
+    def make(**values: str | float) -> SharedNode:
+        """Start the shared node; `output__tracks` is the parameter `output.tracks`."""
+        recorder.start(peer, {name.replace("__", "."): value for name, value in values.items()})
         peer.connect()
         peer.publish_camera()
-        return node
+        return recorder
 
     return make
 
@@ -62,40 +63,66 @@ def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
         peer.publish_events(t * MS, x=x)
 
 
-def test_every_window_has_a_status(peer: Peer, start: Callable[..., Any]) -> None:
+def test_every_window_has_a_status_and_a_killed_worker_costs_one(
+    peer: Peer, processes: Processes
+) -> None:
     statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
-    start("Dying")
+    node = processes.start_fake("Dying")
+    peer.connect()
+    peer.publish_camera()
     wait_for_topic(peer, "/egomotion/status")
-    run_windows(peer, 1000, 1010)
-    run_windows(peer, 1010, 1020, x=7)  # the window that kills the worker
-    run_windows(peer, 1020, 1031)
-    peer.spin_until(lambda: len(statuses) == 3 and len(peer.twists) == 2, "three windows")
-    assert [s.level for s in statuses] == [b"\x00", b"\x02", b"\x00"]
-    assert [values(s)["stamp"] for s in statuses] == ["1.005000000", "1.015000000", "1.025000000"]
+    run_windows(peer, 1000, 1020)
+    run_windows(peer, 1020, 1030, x=7)  # the third window kills the worker
+    run_windows(peer, 1030, 1061)
+    peer.spin_until(lambda: len(statuses) == 6 and len(peer.twists) == 5, "all windows but one")
+    assert [stamp(t) // MS for t in peer.twists] == [1005, 1015, 1035, 1045, 1055]
+    assert [s.level for s in statuses] == [b"\x00", b"\x00", b"\x02", *[b"\x00"] * 3]
+    assert [values(s)["stamp"] for s in statuses] == [f"1.0{k}5000000" for k in range(6)]
     assert statuses[0].name == "/estimator: window"
     assert values(statuses[0])["model"] == "full"
     assert values(statuses[0])["stop_reason"] == "converged"
     assert float(values(statuses[0])["lag_ms"]) > 0
-    assert "the worker died (signal 9)" in statuses[1].message
-    assert values(statuses[1])["events"] == "10"
+    assert "the worker died (signal 9)" in statuses[2].message
+    assert values(statuses[2])["events"] == "10"
+    lines = [line for line in processes.output(node).splitlines() if "ERROR" in line]
+    assert len(lines) == 1
+    assert "the worker died (signal 9); it is started again" in lines[0]
+    peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
 
 
-def test_dropped_windows_have_a_status(peer: Peer, start: Callable[..., Any]) -> None:
+def test_overload_drops_the_oldest_windows_says_so_and_recovers(
+    peer: Peer, processes: Processes
+) -> None:
     statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
-    start("Slow", "-p", "input.queue_windows:=2")
+    node = processes.start_fake("Slow", "-p", "input.queue_windows:=3")
+    peer.connect()
+    peer.publish_camera()
     wait_for_topic(peer, "/egomotion/status")
-    run_windows(peer, 1000, 1201)
-    peer.spin_until(lambda: len(statuses) == 20, "a status for each of 20 windows")
+    run_windows(peer, 1000, 1401)  # 40 windows at once
+    peer.spin_until(lambda: len(statuses) == 40, "a status for each of 40 windows")
     kinds = [values(s)["status"] for s in statuses]
     assert set(kinds) == {"ok", "dropped"}
-    peer.spin_until(lambda: kinds.count("ok") == len(peer.twists), "a twist for each estimate")
-    assert len({values(s)["stamp"] for s in statuses}) == 20
+    assert len({values(s)["stamp"] for s in statuses}) == 40
+    received = kinds.count("ok")
+    peer.spin_until(lambda: len(peer.twists) == received, "a twist for each estimate")
+    assert stamp(peer.twists[-1]) == 1395 * MS  # the newest window
+    assert 3 <= received < 40
+    peer.spin_until(lambda: peer.status().get("windows_ok") == str(received), "the count")
+    assert int(peer.status()["windows_dropped"]) == 40 - received
+    assert "slower than the events" in "".join(
+        s.message for d in peer.diagnostics for s in d.status
+    )
+    for t in (1405, 1410):  # one window, in time
+        peer.publish_events(t * MS)
+    peer.spin_until(lambda: stamp(peer.twists[-1]) == 1405 * MS, "the window after the overload")
+    assert int(peer.status()["windows_dropped"]) == 40 - received
+    assert node.poll() is None
 
 
-def test_pictures_are_drawn_for_their_subscribers(peer: Peer, start: Callable[..., Any]) -> None:
+def test_pictures_are_drawn_for_their_subscribers(peer: Peer, start: Start) -> None:
     colors: list[Image] = listen(peer, Image, "/flow/color")
     sharpened: list[Image] = listen(peer, Image, "/flow/iwe")
-    start("Recorder", "-p", "output.flow_color_max:=4.0", "-p", "camera.frame_id:=my_frame")
+    start(output__flow_color_max=4.0, camera__frame_id="my_frame")
     wait_for_topic(peer, "/flow/iwe")
     clock = iter(range(1000, 10_000, 5))
 
@@ -117,9 +144,9 @@ def test_pictures_are_drawn_for_their_subscribers(peer: Peer, start: Callable[..
     assert np.count_nonzero(grey) == 1
 
 
-def test_tracks_are_drawn_for_their_subscriber(peer: Peer, start: Callable[..., Any]) -> None:
+def test_tracks_are_drawn_for_their_subscriber(peer: Peer, start: Start) -> None:
     markers: list[Marker] = listen(peer, Marker, "/flow/tracks")
-    start("Recorder", "-p", "output.tracks:=12", "-p", "camera.frame_id:=my_frame")
+    start(output__tracks=12, camera__frame_id="my_frame")
     clock = iter(range(1000, 100_000, 5))
 
     def publish_until_two() -> bool:
@@ -140,13 +167,14 @@ def test_tracks_are_drawn_for_their_subscriber(peer: Peer, start: Callable[..., 
     assert len(second.points) == 2 * (9 * 2 + 12 * 2)
 
 
-def test_twist_in_a_target_frame(peer: Peer, start: Callable[..., Any]) -> None:
+def test_twist_in_a_target_frame(peer: Peer, start: Start) -> None:
     """The optical frame in a body with x forward, y left and z up."""
-    angles = ("-p", f"output.target_roll:={-np.pi / 2}", "-p", f"output.target_yaw:={-np.pi / 2}")
     start(
-        "Recorder", "-p", "output.target_frame:=base", "-p", "output.target_source:=parameter",
-        *angles,
-    )  # fmt: skip
+        output__target_frame="base",
+        output__target_source="parameter",
+        output__target_roll=-np.pi / 2,
+        output__target_yaw=-np.pi / 2,
+    )
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: peer.twists and peer.covariances, "a window")
     assert peer.twists[0].header.frame_id == peer.covariances[0].header.frame_id == "base"
@@ -164,10 +192,10 @@ def test_tf_that_is_not_installed_is_refused_in_one_line(processes: Processes) -
     assert line.startswith("error: output.target_source: tf needs the package tf2_ros")
 
 
-def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Callable[..., Any]) -> None:
+def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Start) -> None:
     statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
     publisher = peer.node.create_publisher(Odometry, "/odom", 10)
-    start("Recorder", "-p", "scale.source:=topic", "-p", "scale.max_age_s:=10.0")
+    start(scale__source="topic", scale__max_age_s=10.0)
     peer.spin_until(publisher.get_subscription_count, "the node listens to the odometry")
     odometry = Odometry()
     odometry.header.stamp.sec = 1
@@ -201,8 +229,8 @@ def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Callable[...
     peer.spin_until(lambda: "no speed on odom" in peer.status()["message"], "the warning")
 
 
-def test_sampled_twists_are_uniform_over_windows(peer: Peer, start: Callable[..., Any]) -> None:
-    start("Recorder", "-p", "output.twist_rate:=500.0")
+def test_sampled_twists_are_uniform_over_windows(peer: Peer, start: Start) -> None:
+    start(output__twist_rate=500.0)
     run_windows(peer, 1000, 1031)
     peer.spin_until(lambda: len(peer.twists) == 15, "five twists in each of three windows")
     assert [stamp(t) for t in peer.twists] == [(1000 + 2 * k) * MS for k in range(15)]
@@ -211,10 +239,8 @@ def test_sampled_twists_are_uniform_over_windows(peer: Peer, start: Callable[...
     assert [stamp(c) for c in peer.covariances] == [1005 * MS, 1015 * MS, 1025 * MS]
 
 
-def test_speed_gives_the_linear_velocity_and_may_change(
-    peer: Peer, start: Callable[..., Any]
-) -> None:
-    start("Recorder", "-p", "scale.source:=parameter", "-p", "scale.speed:=5.0")
+def test_speed_gives_the_linear_velocity_and_may_change(peer: Peer, start: Start) -> None:
+    node = start(scale__source="parameter", scale__speed=5.0)
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: peer.twists and peer.covariances, "a window")
     linear = peer.twists[0].twist.linear
@@ -222,44 +248,29 @@ def test_speed_gives_the_linear_velocity_and_may_change(
     assert peer.covariances[0].twist.twist == peer.twists[0].twist
     expected = np.diag([25.0, 25.0, 25.0, 1.0, 1.0, 1.0])
     np.testing.assert_allclose(peer.covariances[0].twist.covariance, expected.ravel())
-    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="none")
-    wish = [Parameter(name="scale.source", value=value)]
-    answer = peer.call(SetParameters, "/estimator/set_parameters", parameters=wish)
-    assert [r.successful for r in answer.results] == [True]
+    node.set({"scale.source": "none"})
     run_windows(peer, 1015, 1021)
     peer.spin_until(lambda: len(peer.twists) == 2, "the next window")
     assert peer.twists[1].twist.linear.z == 0.8
 
 
-def activate_again(peer: Peer) -> None:
-    """Deactivate the node, and activate it."""
-    wish = Transition(id=Transition.TRANSITION_DEACTIVATE)
-    assert peer.call(ChangeState, "/estimator/change_state", transition=wish).success
-    peer.spin_until(lambda: peer.events.get_subscription_count() == 0, "it listens no more")
-    wish = Transition(id=Transition.TRANSITION_ACTIVATE)
-    assert peer.call(ChangeState, "/estimator/change_state", transition=wish).success
-    peer.spin_until(peer.events.get_subscription_count, "it listens again")
-
-
-def test_earlier_times_after_a_restart_count_anew(peer: Peer, start: Callable[..., Any]) -> None:
-    start("Recorder", "-p", "output.twist_rate:=500.0")
+def test_earlier_times_after_a_restart_count_anew(peer: Peer, start: Start) -> None:
+    node = start(output__twist_rate=500.0)
     run_windows(peer, 3000, 3011)
     peer.spin_until(lambda: len(peer.twists) == 5, "a window")
-    activate_again(peer)
+    node.activate_again()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: len(peer.twists) == 10, "an earlier window")
     assert [stamp(t) for t in peer.twists[5:]] == [(1000 + 2 * k) * MS for k in range(5)]
     assert peer.covariances[-1].twist.twist.angular.y == 1  # the estimator started cold
 
 
-def test_new_calibration_counts_after_a_new_activation(
-    peer: Peer, start: Callable[..., Any]
-) -> None:
-    start("Recorder")
+def test_new_calibration_counts_after_a_new_activation(peer: Peer, start: Start) -> None:
+    node = start()
     run_windows(peer, 1000, 1011)
     peer.spin_until(lambda: peer.twists, "a window")
     assert peer.twists[0].twist.angular.z == CAMERA.width
-    activate_again(peer)
+    node.activate_again()
     larger = Camera(80, 60, 50.0, 50.0, 40.0, 30.0)
     peer.publish_camera(larger)
     clock = iter(range(2000, 100_000, 5))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
+from shared_node import SharedNode
 
 from emoflow_ros.core.camera import Camera
 
@@ -84,19 +85,19 @@ def test_missing_calibration_is_logged_once_windows_wait(peer: Peer, processes: 
     assert said[0].endswith(f"windows wait: {line}")
 
 
-def test_another_sensor_is_refused_before_a_calibration(peer: Peer, processes: Processes) -> None:
-    node = processes.start_fake("Recorder")
+def test_another_sensor_is_refused_before_a_calibration(peer: Peer, recorder: SharedNode) -> None:
+    recorder.start(peer)
     peer.connect()
     run_windows(peer, 1000, 1016, camera=SMALL)  # one window, and half of the next one
     peer.spin_until(lambda: peer.status().get("events") == "20", "the events arrived")
     run_windows(peer, 1016, 1027)
     peer.spin_until(lambda: peer.status().get("wrong_size_messages") == "3", "the count")
     refusal = "events of a 64x48 sensor are left out: those before were of a 32x24 one"
-    assert processes.output(node).count(refusal) == 1
+    assert recorder.output.count(refusal) == 1
     assert peer.status()["events"] == "20"
 
     peer.publish_camera()  # of the larger one: what waited is not its own
-    peer.spin_until(lambda: "calibration: 64x48" in processes.output(node), "the calibration")
+    peer.spin_until(lambda: "calibration: 64x48" in recorder.output, "the calibration")
     run_windows(peer, 1030, 1051)
     peer.spin_until(lambda: len(peer.twists) == 2, "its own windows")
     assert [t.header.stamp.nanosec for t in peer.twists] == [35 * MS, 45 * MS]
