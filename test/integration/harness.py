@@ -66,9 +66,16 @@ class Peer:
     Args:
         events_topic: where it publishes events. `/events` is what the node asks for; any other
             it takes only once its graph has been quiet for a second.
+        events_type: class of the messages of events.
+        reliability: of their publisher.
     """
 
-    def __init__(self, events_topic: str = "/events") -> None:
+    def __init__(
+        self,
+        events_topic: str = "/events",
+        events_type: Any = EventArray,
+        reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT,
+    ) -> None:
         self.context = Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("peer", context=self.context)
@@ -76,7 +83,8 @@ class Peer:
         self._executor.add_node(self.node)
         self._encoder = MessageEncoder(ros1=False)
         namespace = events_topic.rpartition("/")[0]
-        self.events = self.node.create_publisher(EventArray, events_topic, _DRIVER_QOS)
+        qos = QoSProfile(depth=_DRIVER_QOS.depth, reliability=reliability)
+        self.events = self.node.create_publisher(events_type, events_topic, qos)
         self.camera_info = self.node.create_publisher(
             CameraInfo, f"{namespace}/camera_info", _DRIVER_QOS
         )

@@ -3,7 +3,7 @@
 import array
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -14,8 +14,9 @@ import prophesee_event_msgs.msg
 import pytest
 from builtin_interfaces.msg import Time
 from harness import MS, ROOT, Peer, Processes
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2, PointField
+from shared_node import SharedNode
 from std_msgs.msg import Header
 
 from emoflow_ros.core.camera import Camera
@@ -23,6 +24,7 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import WindowSlicer
+from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
@@ -34,9 +36,11 @@ pytestmark = pytest.mark.dds
 CAMERA = Camera(120, 90, 110.0, 110.0, 60.0, 45.0)
 START = 2_000_000_000
 ENCODER = MessageEncoder(ros1=False)
-TOPIC = "/cam/events"
 BATCH = 10 * MS
 BEST_EFFORT, RELIABLE = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
+# Not the same one, because a node's process keeps the reliability of its first subscription to a
+# topic: rclpy declares it as a parameter, qos_overrides.TOPIC.subscription.reliability.
+TOPICS = {BEST_EFFORT: "/events", RELIABLE: "/cam/events"}
 
 type ToMessage = Callable[[Events, int], Any]
 
@@ -114,10 +118,10 @@ def expected(recording: SimulatedRecording) -> list[Estimate]:
     return [estimator.estimate(w) for w in WindowSlicer(config.window).push(recording.events)]
 
 
-def replace_publisher(peer: Peer, message_type: Any, reliability: ReliabilityPolicy) -> None:
-    peer.node.destroy_publisher(peer.events)
-    qos = QoSProfile(depth=1000, reliability=reliability)
-    peer.events = peer.node.create_publisher(message_type, TOPIC, qos)
+@pytest.fixture(scope="module")
+def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
+    with Processes(tmp_path_factory.mktemp("real")) as made:
+        yield SharedNode(made, FACTORY, "input.queue_windows:=50")
 
 
 def twists(peer: Peer) -> tuple[list[int], np.ndarray]:
@@ -125,6 +129,19 @@ def twists(peer: Peer) -> tuple[list[int], np.ndarray]:
     stamps = [t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in peer.twists]
     vectors = [(t.twist.linear, t.twist.angular) for t in peer.twists]
     return stamps, np.array([[v.x, v.y, v.z, w.x, w.y, w.z] for v, w in vectors])
+
+
+@pytest.fixture
+def peer(message_type: Any, reliability: ReliabilityPolicy) -> Iterator[Peer]:
+    with Peer(TOPICS[reliability], message_type, reliability) as made:
+        yield made
+
+
+@pytest.fixture
+def node(real_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
+    """The node with the real estimator; for the test to `start`, before `peer` ends."""
+    yield real_node
+    real_node.stop()
 
 
 @pytest.mark.parametrize(
@@ -148,12 +165,12 @@ def twists(peer: Peer) -> tuple[list[int], np.ndarray]:
                 ("libcaer_cmp", BEST_EFFORT),
             )
         ),
-        pytest.param(PointCloud2, as_cloud, RELIABLE, id="point_cloud"),
+        pytest.param(PointCloud2, as_cloud, BEST_EFFORT, id="point_cloud"),
     ],
 )
 def test_every_type_gives_the_twists_of_the_same_windows_offline(
     peer: Peer,
-    processes: Processes,
+    node: SharedNode,
     batches: Sequence[Events],
     expected: Sequence[Estimate],
     message_type: Any,
@@ -162,18 +179,13 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     request: pytest.FixtureRequest,
 ) -> None:
     assert [e.status for e in expected] == [Status.OK] * 5
-    replace_publisher(peer, message_type, reliability)
-    node = processes.start_node(
-        "emoflow_ros.core.factory:make_estimator",
-        ("input.queue_windows:=50", "output.diagnostics_s:=0.2"),
-        "-r",
-        f"events:={TOPIC}",
-    )
+    node.start(peer)
     peer.connect()
+    topic = TOPICS[reliability]
     name = message_type.__name__
     package = message_type.__module__.partition(".")[0]
-    assert f"listening to {TOPIC} ({package}/msg/{name})" in processes.output(node)
-    [subscription] = peer.node.get_subscriptions_info_by_topic(TOPIC)
+    assert f"listening to {topic} ({package}/msg/{name})" in node.output
+    [subscription] = peer.node.get_subscriptions_info_by_topic(topic)
     assert subscription.qos_profile.reliability == reliability
 
     peer.publish_camera(CAMERA)
@@ -185,7 +197,7 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     peer.spin_until(lambda: peer.status()["windows_ok"] == "5", "all windows")
     peer.spin_until(lambda: twists(peer)[0][-1:] == [expected[-1].t], "the last twist")
 
-    encodings = re.findall(r"events are encoded as (\w+)", processes.output(node))
+    encodings = re.findall(r"events are encoded as (\w+)", node.output)
     named = request.node.callspec.id.partition("-")[0]
     assert encodings == ([named] if message_type is event_camera_msgs.msg.EventPacket else [])
 
@@ -198,31 +210,32 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     np.testing.assert_allclose(values[:, 3:], [e.angular for e in received], atol=1e-6)
 
 
-def test_two_event_topics_are_listed_and_one_is_asked_for(peer: Peer, processes: Processes) -> None:
-    other = "/second/events"
-    packets = peer.node.create_publisher(event_camera_msgs.msg.EventPacket, other, 10)
-    node = processes.start_fake("Recorder")
-    question = f"2 event topics: {TOPIC}, {other}; choose with --ros-args -r events:={TOPIC}"
-    peer.hear()
-    peer.spin_until(lambda: question in peer.status()["message"], "the question")
-    assert question in processes.output(node)
-    assert peer.events.get_subscription_count() == packets.get_subscription_count() == 0
+def test_two_event_topics_are_listed_and_one_is_asked_for(processes: Processes) -> None:
+    first, second = "/cam/events", "/second/events"
+    question = f"2 event topics: {first}, {second}; choose with --ros-args -r events:={first}"
+    with Peer(first) as peer:
+        packets = peer.node.create_publisher(event_camera_msgs.msg.EventPacket, second, 10)
+        node = processes.start_fake("Recorder")
+        peer.hear()
+        peer.spin_until(lambda: question in peer.status()["message"], "the question")
+        assert question in processes.output(node)
+        assert peer.events.get_subscription_count() == packets.get_subscription_count() == 0
 
-    peer.node.destroy_publisher(packets)  # an answer, too
-    peer.connect()
-    assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in processes.output(node)
+        peer.node.destroy_publisher(packets)  # an answer, too
+        peer.connect()
+        assert f"listening to {first} (dvs_msgs/msg/EventArray)" in processes.output(node)
 
 
-def test_type_that_is_not_installed_names_its_package(peer: Peer, processes: Processes) -> None:
-    replace_publisher(peer, prophesee_event_msgs.msg.EventArray, BEST_EFFORT)
+def test_type_that_is_not_installed_names_its_package(processes: Processes) -> None:
     without = "import sys; sys.modules['prophesee_event_msgs'] = None; "
     main = "from emoflow_ros.node.estimator import main; main('fake_estimators:Recorder')"
-    node = processes.start(sys.executable, "-c", without + main)
-    peer.hear()
-    peer.spin_until(lambda: "is not installed" in peer.status()["message"], "the refusal")
-    assert (
-        "prophesee_event_msgs/msg/EventArray: the message package prophesee_event_msgs is not "
-        "installed; install ros-jazzy-prophesee-event-msgs or build prophesee_event_msgs"
-    ) in processes.output(node)
-    assert peer.events.get_subscription_count() == 0
-    assert node.poll() is None
+    with Peer("/events", prophesee_event_msgs.msg.EventArray) as peer:
+        node = processes.start(sys.executable, "-c", without + main)
+        peer.hear()
+        peer.spin_until(lambda: "is not installed" in peer.status()["message"], "the refusal")
+        assert (
+            "prophesee_event_msgs/msg/EventArray: the message package prophesee_event_msgs is not "
+            "installed; install ros-jazzy-prophesee-event-msgs or build prophesee_event_msgs"
+        ) in processes.output(node)
+        assert peer.events.get_subscription_count() == 0
+        assert node.poll() is None

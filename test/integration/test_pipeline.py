@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import Peer, Processes, children
+from shared_node import SharedNode
 
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.simulation.bags import data_topics, write_bag
 from emoflow_ros.simulation.messages import MessageEncoder
@@ -72,15 +75,29 @@ def image_stamp(peer: Peer) -> int:
     return stamp.sec * 10**9 + stamp.nanosec
 
 
-def start(peer: Peer, processes: Processes, bag: Path) -> None:
+@pytest.fixture(scope="module")
+def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
+    with Processes(tmp_path_factory.mktemp("real")) as made:
+        yield SharedNode(made, FACTORY, "input.queue_windows:=50")  # the machine may be busy
+
+
+@pytest.fixture
+def node(real_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
+    """The node with the real estimator; for the test to `start`, before `peer` ends."""
+    yield real_node
+    real_node.stop()
+
+
+def start(peer: Peer, node: SharedNode, processes: Processes, bag: Path) -> None:
     peer.node.destroy_publisher(peer.events)
-    processes.start_node(parameters=("input.queue_windows:=50",))  # the machine may be busy
+    node.start(peer)
     peer.hear()
     processes.start(*REPLAY, str(bag), "--wait", "60", "--rate", RATE)
 
 
 def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     peer: Peer,
+    node: SharedNode,
     processes: Processes,
     recording: SimulatedRecording,
     bag: Path,
@@ -91,7 +108,7 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     peer.subscribe_flow()
     statuses: list[DiagnosticStatus] = []
     peer.node.create_subscription(DiagnosticStatus, "/egomotion/status", statuses.append, 100)
-    start(peer, processes, bag)
+    start(peer, node, processes, bag)
     peer.spin_until(
         lambda: (
             len(peer.images) > 0 and len(peer.twists) > 0 and stamps(peer)[-1] == expected[-1].t
@@ -137,21 +154,20 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
 
 
 def test_killed_worker_costs_one_window_of_a_running_replay(
-    peer: Peer, processes: Processes, bag: Path, expected: list[Window]
+    peer: Peer, node: SharedNode, processes: Processes, bag: Path, expected: list[Window]
 ) -> None:
-    start(peer, processes, bag)
+    start(peer, node, processes, bag)
     peer.spin_until(lambda: len(peer.twists) >= 4, "some twists", 60.0)
-    os.kill(_worker(processes), signal.SIGKILL)
+    os.kill(_worker(node), signal.SIGKILL)
     peer.spin_until(lambda: stamps(peer)[-1] == expected[-1].t, "the last twist", 60.0)
     assert len(peer.twists) >= len(expected) - 2  # the killed one, and one before the match
     peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
     assert peer.status()["windows_dropped"] == "0"
 
 
-def _worker(processes: Processes) -> int:
+def _worker(node: SharedNode) -> int:
     """Return the process id of the worker: the node's only grandchild."""
-    node = processes.started[0].pid
-    [worker] = [grandchild for child in children(node) for grandchild in children(child)]
+    [worker] = [grandchild for child in children(node.pid) for grandchild in children(child)]
     return worker
 
 

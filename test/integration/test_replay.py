@@ -14,6 +14,7 @@ from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
+from shared_node import SharedNode
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.simulation.bags import data_topics, write_bag
@@ -51,35 +52,41 @@ def counts_per_window(events: Events, duration: int) -> list[int]:
     return np.diff(np.searchsorted(events.t, edges)).tolist()
 
 
-@pytest.mark.parametrize(
-    ("name", "rate"), [("ros1.bag", "1"), ("ros2", "1"), ("ros1.bag", "5"), ("ros2", "0.1")]
-)
+@pytest.fixture
+def listener(peer: Peer, recorder: SharedNode) -> SharedNode:
+    """The shared node, which finds the event topic of the bag; nobody else publishes any."""
+    peer.node.destroy_publisher(peer.events)
+    recorder.start(peer, {"input.queue_windows": 50, "input.silence_s": 1.0})
+    peer.hear()
+    return recorder
+
+
+@pytest.mark.parametrize(("name", "rate"), [("ros1.bag", "1"), ("ros2", "1"), ("ros1.bag", "5")])
 def test_replayed_events_arrive_at_the_estimator_complete(
     peer: Peer,
     processes: Processes,
+    listener: SharedNode,
     recording: SimulatedRecording,
     bags: Path,
     name: str,
     rate: str,
 ) -> None:
-    peer.node.destroy_publisher(peer.events)
-    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
-    peer.hear()
     replay = processes.start(*REPLAY, str(bags / name), "--rate", rate, "--wait")
     expected = counts_per_window(recording.events, 10 * MS)
     peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
     assert [int(t.twist.angular.x) for t in peer.twists] == expected
     assert {t.twist.angular.z for t in peer.twists} == {346.0}  # the bag's camera_info
     assert replay.wait(WAIT_S) == 0
-    assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in processes.output(node)
+    assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in listener.output
 
 
 def test_every_round_of_a_looped_bag_is_an_epoch(
-    peer: Peer, processes: Processes, recording: SimulatedRecording, bags: Path
+    peer: Peer,
+    processes: Processes,
+    listener: SharedNode,
+    recording: SimulatedRecording,
+    bags: Path,
 ) -> None:
-    peer.node.destroy_publisher(peer.events)
-    node = processes.start_fake("Recorder", "-p", "input.queue_windows:=50")
-    peer.hear()
     processes.start(*REPLAY, str(bags / "ros2"), "--loop", "--wait")
     peer.spin_until(lambda: int(peer.status().get("time_jumps", "0")) >= 2, "three rounds")
     stamps = np.array([stamp(twist) for twist in peer.twists])
@@ -88,16 +95,16 @@ def test_every_round_of_a_looped_bag_is_an_epoch(
     starts = recording.events.t[0] + 5 * MS
     assert {int(r[0]) for r in rounds} == {int(starts)}  # cut alike, from the first event on
     assert all((np.diff(r) == 10 * MS).all() for r in rounds)
-    assert "event time went back by 0." in processes.output(node)
+    assert "event time went back by 0." in listener.output
 
 
-def test_paused_replay_warns_and_goes_on_without_a_jump(
-    peer: Peer, processes: Processes, recording: SimulatedRecording, bags: Path
+def test_slow_replay_that_pauses_warns_and_goes_on_complete_without_a_jump(
+    peer: Peer,
+    processes: Processes,
+    listener: SharedNode,
+    recording: SimulatedRecording,
+    bags: Path,
 ) -> None:
-    peer.node.destroy_publisher(peer.events)
-    patience = ("-p", "input.silence_s:=1.0", "-p", "input.queue_windows:=50")
-    processes.start_fake("Recorder", *patience)
-    peer.hear()
     replay = processes.start(*REPLAY, str(bags / "ros2"), "--rate", "0.1", "--wait")
     peer.spin_until(lambda: len(peer.twists) >= 3, "some twists")
     replay.send_signal(signal.SIGSTOP)
@@ -105,7 +112,11 @@ def test_paused_replay_warns_and_goes_on_without_a_jump(
     replay.send_signal(signal.SIGCONT)
     expected = counts_per_window(recording.events, 10 * MS)
     peer.spin_until(lambda: len(peer.twists) == len(expected), "a twist for every window")
+    assert [int(t.twist.angular.x) for t in peer.twists] == expected
+    assert {t.twist.angular.z for t in peer.twists} == {346.0}
     assert peer.status()["time_jumps"] == "0"
+    assert replay.wait(WAIT_S) == 0
+    assert f"listening to {TOPIC} (dvs_msgs/msg/EventArray)" in listener.output
 
 
 def test_clock_and_rate(peer: Peer, processes: Processes, bags: Path) -> None:

@@ -9,14 +9,15 @@ import pytest
 from harness import MS, Peer, Processes, children
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from shared_node import SharedNode
 
 from emoflow_ros.node.memory import resident_mb
 
 pytestmark = pytest.mark.dds
 
-# 10 ms of events each, five times what is possible: 10 minutes of them, and 10 s.
+# 10 ms of events each, five times what is possible: 10 minutes of them, and 5 s.
 OVERLOAD_WINDOWS = 60_000
-FEW_WINDOWS = 1000
+FEW_WINDOWS = 500
 
 
 def few_and_many(few: int, many: int) -> list[object]:
@@ -66,14 +67,14 @@ def test_lifecycles_leak_nothing(peer: Peer, processes: Processes, times: int) -
 
 @pytest.mark.parametrize("times", few_and_many(3, 20))
 @pytest.mark.timeout(3600)
-def test_worker_killed_many_times(peer: Peer, processes: Processes, times: int) -> None:
-    node = processes.start_fake("Recorder")
+def test_worker_killed_many_times(peer: Peer, recorder: SharedNode, times: int) -> None:
+    recorder.start(peer)
     peer.connect()
     peer.publish_camera()
     now = 1000
     for _ in range(times):
-        peer.spin_until(lambda: len(worker_of(node.pid)) == 1, "a worker")
-        os.kill(worker_of(node.pid)[0], signal.SIGKILL)
+        peer.spin_until(lambda: len(worker_of(recorder.pid)) == 1, "a worker")
+        os.kill(worker_of(recorder.pid)[0], signal.SIGKILL)
         count = len(peer.twists)
         while len(peer.twists) == count:
             now += 5
