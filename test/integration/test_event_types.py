@@ -210,7 +210,7 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     np.testing.assert_allclose(values[:, 3:], [e.angular for e in received], atol=1e-6)
 
 
-def test_two_event_topics_are_listed_and_one_is_asked_for(processes: Processes) -> None:
+def test_events_on_two_topics_are_listed(processes: Processes) -> None:
     first, second = "/cam/events", "/second/events"
     question = f"2 event topics: {first}, {second}; choose with --ros-args -r events:={first}"
     with Peer(first) as peer:

@@ -63,9 +63,7 @@ def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
         peer.publish_events(t * MS, x=x)
 
 
-def test_every_window_has_a_status_and_a_killed_worker_costs_one(
-    peer: Peer, processes: Processes
-) -> None:
+def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Processes) -> None:
     statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
     node = processes.start_fake("Dying")
     peer.connect()
@@ -90,9 +88,7 @@ def test_every_window_has_a_status_and_a_killed_worker_costs_one(
     peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
 
 
-def test_overload_drops_the_oldest_windows_says_so_and_recovers(
-    peer: Peer, processes: Processes
-) -> None:
+def test_overload_drops_the_oldest_windows_and_recovers(peer: Peer, processes: Processes) -> None:
     statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
     node = processes.start_fake("Slow", "-p", "input.queue_windows:=3")
     peer.connect()

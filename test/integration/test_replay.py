@@ -98,7 +98,7 @@ def test_every_round_of_a_looped_bag_is_an_epoch(
     assert "event time went back by 0." in listener.output
 
 
-def test_slow_replay_that_pauses_warns_and_goes_on_complete_without_a_jump(
+def test_paused_replay_warns_and_goes_on_without_a_jump(
     peer: Peer,
     processes: Processes,
     listener: SharedNode,
