@@ -1,10 +1,15 @@
-"""The data sets of `estimates.h5`: what each holds for a window, and how it is stored."""
+"""The data sets of `estimates.h5`: what each holds for a window, and how it is stored.
+
+The record of a window's quality is the same in every result: in `estimates.h5`, files of labels,
+`report.json` and `windows.csv`.
+"""
 
 from typing import Any, NamedTuple
 
 import h5py
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Quality
 from emoflow_ros.core.tracks import INSTANTS
 
 _ROWS_PER_CHUNK = 256
@@ -35,6 +40,18 @@ class Column(NamedTuple):
 
 
 TEXT = h5py.string_dtype()
+QUALITY = {
+    "translation_observable": Column((), "?", "", "whether linear holds a direction"),
+    "window_events": Column((), "i8", "1", "all events of the window, from t_start to t_end"),
+    "events": Column((), "i8", "1", "events of the window that were used"),
+    "iterations": Column((), "i8", "1", "steps of the optimiser"),
+    "stop_reason": Column((), TEXT, "", "converged, iterations, deadline or the status"),
+    "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
+    "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
+    "inlier_fraction": Column((), "f8", "1", "share of the residuals within 3 robust scales"),
+    "warm": Column((), "?", "", "whether the window before was the start"),
+    "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
+}
 COLUMNS = {
     "t_start": Column((), "f8", "s", "start of the window, in the recording's event time"),
     "t_end": Column((), "f8", "s", "end of the window (exclusive)"),
@@ -57,12 +74,30 @@ COLUMNS = {
         "1, rad/s",
         "of (linear, angular); [0, 0] is -1 where translation is not observable",
     ),
-    "translation_observable": Column((), "?", "", "whether linear holds a direction"),
     "status": Column((), TEXT, "", "ok, or why there is no estimate"),
     "model": Column((), TEXT, "", "full, rotation, translation or static"),
-    "events": Column((), "i8", "1", "events of the window that were used"),
-    "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
+    **QUALITY,
 }
+# Added within version 1 of the layout: readers do without them where a file has none.
+ADDED = QUALITY.keys() - {"translation_observable", "events", "runtime_s"}
+
+
+def quality_values(
+    quality: Quality, window_events: int, translation_observable: bool
+) -> dict[str, Any]:
+    """Return the values of a window's QUALITY columns; NaN where unknown."""
+    return {
+        "translation_observable": translation_observable,
+        "window_events": window_events,
+        "events": quality.events,
+        "iterations": quality.iterations,
+        "stop_reason": str(quality.stop_reason),
+        "contrast_gain": quality.contrast_gain,
+        "residual_px": quality.residual_px,
+        "inlier_fraction": quality.inlier_fraction,
+        "warm": quality.warm,
+        "runtime_s": quality.runtime_s,
+    }
 
 
 def track_columns(points: int) -> dict[str, Column]:

@@ -17,7 +17,15 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.columns import COLUMNS, TEXT, Column, flow_column, track_columns
+from emoflow_ros.offline.columns import (
+    ADDED,
+    COLUMNS,
+    TEXT,
+    Column,
+    flow_column,
+    quality_values,
+    track_columns,
+)
 from emoflow_ros.offline.tracks import Tracks
 
 FORMAT = "emoflow_ros/estimates"
@@ -40,7 +48,8 @@ class EstimatesWriter:
             it is replaced.
 
     Raises:
-        InputError: the file cannot be written, or has fewer rows than to keep.
+        InputError: the file cannot be written, or what is to be kept has fewer rows, or fewer
+            columns, since an earlier version wrote it.
     """
 
     def __init__(
@@ -60,13 +69,17 @@ class EstimatesWriter:
             self._file = h5py.File(path, "r+" if keep else "w")
         except OSError as error:
             raise InputError(path, f"cannot be written ({error})", "give another --out") from None
+        columns = COLUMNS | (track_columns(tracks) if tracks else {}) | dict(more or {})
+        if save_flow:
+            columns["flow"] = flow_column(camera)
         if keep:
-            if len(self._file["t_start_ns"]) < keep:
-                self._file.close()
-                raise InputError(
-                    path, f"has fewer than {keep} rows", "start again without --resume"
-                )
             self._datasets = dict(self._file.items())
+            wrong = lacking(self._file, columns)
+            if not wrong and len(self._file["t_start_ns"]) < keep:
+                wrong = f"has fewer than {keep} rows"
+            if wrong:
+                self._file.close()
+                raise InputError(path, wrong, "start again without --resume")
             self.truncate(keep)
             return
         self._file.attrs.update(
@@ -80,9 +93,6 @@ class EstimatesWriter:
                 **(attributes or {}),
             }
         )
-        columns = COLUMNS | (track_columns(tracks) if tracks else {}) | dict(more or {})
-        if save_flow:
-            columns["flow"] = flow_column(camera)
         for name, column in columns.items():
             self._create(name, column)
         self._rows, self._datasets = 0, dict(self._file.items())
@@ -90,10 +100,14 @@ class EstimatesWriter:
     def append(
         self,
         estimate: Estimate,
+        window_events: int,
         tracks: Tracks | None = None,
         more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Add one window; with tracks and values of more columns where the file was made so."""
+        """Add one window; with tracks and values of more columns where the file was made so.
+
+        `window_events` counts all events from the estimate's t_start to its t_end.
+        """
         ok = estimate.status is Status.OK
         values: dict[str, Any] = {
             "t_start": estimate.t_start / NS_PER_S,
@@ -104,11 +118,9 @@ class EstimatesWriter:
             "linear": estimate.linear,
             "angular": estimate.angular if ok else np.nan,
             "covariance": estimate.covariance,
-            "translation_observable": estimate.translation_observable,
             "status": str(estimate.status),
             "model": str(estimate.model),
-            "events": estimate.quality.events,
-            "runtime_s": estimate.quality.runtime_s,
+            **quality_values(estimate.quality, window_events, estimate.translation_observable),
         }
         if "flow" in self._datasets:
             flow = estimate.flow
@@ -155,6 +167,12 @@ class EstimatesWriter:
         dataset.attrs["description"] = column.description
 
 
+def lacking(file: h5py.File, columns: Mapping[str, Column]) -> str:
+    """Say in words which data sets a file to go on with lacks; nothing if it has all."""
+    names = [name for name in columns if name not in file]
+    return f"of an earlier version, without {', '.join(names)}" if names else ""
+
+
 @dataclass(frozen=True)
 class Estimates:
     """The contents of an estimates file, N windows.
@@ -164,7 +182,8 @@ class Estimates:
         source: what was estimated from.
         camera: of the recording.
         configuration: option values by dotted name.
-        columns: every dataset but `flow`, by name; see docs/estimates_file.md.
+        columns: every dataset but `flow`, by name; see docs/estimates_file.md. Files of earlier
+            versions lack some of `columns.ADDED`.
         has_flow: whether `flow(i)` can be called.
     """
 
@@ -204,6 +223,7 @@ def read_estimates(path: Path) -> Estimates:
             columns = {
                 name: file[name].asstr()[:] if column.dtype is TEXT else file[name][:]
                 for name, column in (COLUMNS | tracked).items()
+                if name in file or name not in ADDED
             }
             return Estimates(
                 path=path,

@@ -167,7 +167,7 @@ def attempt(estimator: Estimator, window: Window) -> tuple[Estimate, str]:
         return estimator.estimate(window), ""
     except Exception as error:
         estimator.reset()
-        quality = Quality(events=len(window.events), stop_reason=Status.DIVERGED)
+        quality = Quality(events=0, stop_reason=Status.DIVERGED)
         middle = (window.t_start + window.t_end) // 2
         nothing = Estimate(window.t_start, window.t_end, middle, Status.DIVERGED, quality)
         return nothing, f"{type(error).__name__}: {error}"
@@ -227,7 +227,7 @@ def _process(
     track_errors = tracks.errors if tracks else None
     result = assess(len(progress.windows), window, estimate, truth, note, track_errors)
     if writer is not None:
-        writer.append(estimate, tracks)
+        writer.append(estimate, len(window.events), tracks)
     part = compared_part(window)
     if submission is not None:
         submission.offer(part.t_start, part.t_end, estimate)

@@ -18,18 +18,12 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.columns import TEXT, Column
-from emoflow_ros.offline.estimates import EstimatesWriter
+from emoflow_ros.offline.columns import COLUMNS, TEXT, Column
+from emoflow_ros.offline.estimates import EstimatesWriter, lacking
 from emoflow_ros.offline.metrics import event_mask
 
 _HEAD = 1 << 20  # bytes
 _MORE = {
-    "iterations": Column((), "i8", "1", "steps of the optimiser"),
-    "stop_reason": Column((), TEXT, "", "converged, iterations, deadline or the status"),
-    "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
-    "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
-    "inlier_fraction": Column((), "f8", "1", "share of the residuals within 3 robust scales"),
-    "warm": Column((), "?", "", "whether the window before was the start"),
     "note": Column((), TEXT, "", "the exception, where the estimator raised one"),
     "chunk": Column((), "i8", "", "number of the chunk of time that the window was labelled in"),
 }
@@ -55,7 +49,7 @@ class Header:
         """See that an existing file was written for the same labels.
 
         Raises:
-            InputError: it is of another run, or damaged.
+            InputError: it is of another run, of an earlier version, or damaged.
         """
         fix = "leave --resume out to start again"
         mine = {
@@ -67,9 +61,12 @@ class Header:
             with h5py.File(path) as file:
                 its = {name: json.loads(file.attrs[name]) for name in ("camera", "configuration")}
                 its |= json.loads(file.attrs["provenance"])
+                wrong = lacking(file, COLUMNS | _MORE)
         except (OSError, KeyError) as error:
             reason = " ".join(str(error).split())
             raise InputError(path, f"cannot be read ({reason})", fix) from None
+        if wrong:
+            raise InputError(path, wrong, fix)
         plain = json.loads(json.dumps(mine))
         differ = [name for name in plain if its.get(name) != plain[name]]
         if differ:
@@ -106,21 +103,14 @@ class LabelWriter:
     def append(self, window: Window, estimate: Estimate, note: str) -> None:
         """Add one window; `note` is the exception, if the estimator raised one."""
         ok = estimate.status is Status.OK
-        quality = estimate.quality
         events = window.since(estimate.t_start).events  # an estimate may be of its latest part
         seen = event_mask(events, self._camera.width, self._camera.height)
         more = {
             "valid": seen if ok else np.zeros_like(seen),
-            "iterations": quality.iterations,
-            "stop_reason": str(quality.stop_reason),
-            "contrast_gain": quality.contrast_gain,
-            "residual_px": quality.residual_px,
-            "inlier_fraction": quality.inlier_fraction,
-            "warm": quality.warm,
             "note": note,
             "chunk": self._chunk,
         }
-        self._writer.append(estimate, more=more)
+        self._writer.append(estimate, len(events), more=more)
 
     def __enter__(self) -> Self:
         return self

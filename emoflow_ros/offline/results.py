@@ -33,7 +33,7 @@ class WindowResult:
     Attributes:
         index: position in the evaluation.
         t_start, t_end: the interval that is compared, ns: the window, but for clips.
-        events: events in the window.
+        events: all events in the window, also those that were not used.
         status: a Status value.
         model: a MotionModel value.
         linear: (3,) unit direction; NaN where not observable.
@@ -77,6 +77,11 @@ class WindowResult:
     def ok(self) -> bool:
         """Whether there is an estimate."""
         return self.status == Status.OK
+
+    @property
+    def translation_observable(self) -> bool:
+        """Whether `linear` holds a direction."""
+        return bool(np.isfinite(self.linear).all())
 
     @property
     def angular_error(self) -> Vector:

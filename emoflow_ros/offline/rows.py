@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.offline.columns import quality_values
 from emoflow_ros.offline.document import without_nan
 from emoflow_ros.offline.results import Vector, WindowResult
 from emoflow_ros.offline.truth import TrueTwist
@@ -16,19 +17,14 @@ from emoflow_ros.offline.truth import TrueTwist
 def window_row(window: WindowResult) -> dict[str, Any]:
     """One window as flat values with their units in the names; None where unknown.
 
+    The record of its quality has the names and meanings that it has in `estimates.h5`.
     The second and further sources of true velocity have columns `truth2_*` and so on.
     """
-    flow, static, tracks, quality = (
-        window.flow,
-        window.static_flow,
-        window.tracks,
-        window.quality,
-    )
+    flow, static, tracks = window.flow, window.static_flow, window.tracks
     row: dict[str, Any] = {
         "index": window.index,
         "t_start_s": window.t_start / NS_PER_S,
         "t_end_s": window.t_end / NS_PER_S,
-        "events": window.events,
         "status": window.status,
         "model": window.model,
         **_axes("angular_{}_rad_s", window.angular),
@@ -56,13 +52,7 @@ def window_row(window: WindowResult) -> dict[str, Any]:
         "track_true_px": tracks and tracks.true_px,
         "track_age_s": tracks and tracks.age_s,
         "compared_tracks": tracks and tracks.points,
-        "contrast_gain": quality.contrast_gain,
-        "residual_px": quality.residual_px,
-        "inlier_fraction": quality.inlier_fraction,
-        "iterations": quality.iterations,
-        "stop_reason": quality.stop_reason,
-        "warm": quality.warm,
-        "runtime_s": quality.runtime_s,
+        **quality_values(window.quality, window.events, window.translation_observable),
         "note": window.note,
     }
     return {name: without_nan(value) for name, value in row.items()}

@@ -6,6 +6,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.tracks import INSTANTS
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.columns import ADDED, QUALITY
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.tracks import Tracks
 
@@ -26,7 +27,16 @@ def estimate(i, status=Status.OK, model=MotionModel.FULL):
         t_end=start + 90_000_000,
         t=start + 45_000_000,
         status=status,
-        quality=Quality(events=100 + i, runtime_s=0.25),
+        quality=Quality(
+            events=100 + i,
+            iterations=7 + i,
+            stop_reason="converged" if status is Status.OK else status,
+            contrast_gain=1.5 if status is Status.OK else np.nan,
+            residual_px=0.125 * i,
+            inlier_fraction=0.75,
+            runtime_s=0.25,
+            warm=i > 0,
+        ),
         model=model,
         linear=np.array([0.6, 0.0, 0.8]),
         angular=np.array([0.1, 0.2, 0.3]) * i,
@@ -43,9 +53,16 @@ def write(path, save_flow):
         configuration={"window.duration_ms": 90.0},
         save_flow=save_flow,
     ) as writer:
-        writer.append(estimate(0))
-        writer.append(estimate(1, Status.TOO_FEW_EVENTS, MotionModel.STATIC))
-        writer.append(estimate(2))
+        writer.append(estimate(0), 200)
+        writer.append(estimate(1, Status.TOO_FEW_EVENTS, MotionModel.STATIC), 201)
+        writer.append(estimate(2), 202)
+
+
+def without_what_was_added(path):
+    """Leave what files had before the record of quality was whole."""
+    with h5py.File(path, "r+") as file:
+        for name in ADDED:
+            del file[name]
 
 
 def test_round_trip(tmp_path):
@@ -66,13 +83,45 @@ def test_round_trip(tmp_path):
     np.testing.assert_array_equal(columns["covariance"][2], np.eye(6) * 2)
     assert columns["status"].tolist() == ["ok", "too_few_events", "ok"]
     assert columns["model"].tolist() == ["full", "static", "full"]
-    assert columns["translation_observable"].tolist() == [True, False, True]
-    assert columns["events"].tolist() == [100, 101, 102]
-    assert columns["runtime_s"].tolist() == [0.25] * 3
     assert read.has_flow
     assert read.flow(0).dtype == np.float16
     np.testing.assert_array_equal(read.flow(2)[3, 5], [5, -3])
     assert np.isnan(read.flow(1)).all()
+
+
+def test_whole_record_of_quality_is_kept(tmp_path):
+    path = tmp_path / "estimates.h5"
+    write(path, save_flow=False)
+    columns = read_estimates(path).columns
+    assert {name: columns[name].tolist() for name in QUALITY if name != "contrast_gain"} == {
+        "translation_observable": [True, False, True],
+        "window_events": [200, 201, 202],
+        "events": [100, 101, 102],
+        "iterations": [7, 8, 9],
+        "stop_reason": ["converged", "too_few_events", "converged"],
+        "residual_px": [0.0, 0.125, 0.25],
+        "inlier_fraction": [0.75] * 3,
+        "warm": [False, True, True],
+        "runtime_s": [0.25] * 3,
+    }
+    np.testing.assert_array_equal(columns["contrast_gain"], [1.5, np.nan, 1.5])
+
+
+def test_older_file_is_read_and_not_continued(tmp_path):
+    path = tmp_path / "estimates.h5"
+    write(path, save_flow=False)
+    without_what_was_added(path)
+    columns = read_estimates(path).columns
+    assert columns["events"].tolist() == [100, 101, 102]
+    assert ADDED.isdisjoint(columns)
+    words = r"estimates.h5: of an earlier version, without window_events, iterations, .*warm; start"
+    with pytest.raises(InputError, match=words):
+        EstimatesWriter(path, camera=CAMERA, source="", configuration={}, keep=1)
+    assert len(read_estimates(path)) == 3  # left as it was
+    with h5py.File(path, "r+") as file:
+        del file["angular"]
+    with pytest.raises(InputError, match=r"cannot be read.*angular"):
+        read_estimates(path)
 
 
 def test_every_dataset_carries_unit_and_description(tmp_path):
@@ -97,7 +146,7 @@ def test_tracks_round_trip(tmp_path):
             times = T0 + i * 90_000_000 + np.arange(INSTANTS) * 11_250_000
             ids = np.array([0, 1, 2 + i])
             nothing = np.full((2, 3, 2), np.nan)
-            writer.append(estimate(i), Tracks(times, positions[i], ids, nothing, None))
+            writer.append(estimate(i), 200, Tracks(times, positions[i], ids, nothing, None))
     columns = read_estimates(path).columns
     np.testing.assert_allclose(columns["tracks"], positions, rtol=1e-6)
     assert columns["track_id"].tolist() == [[0, 1, 2], [0, 1, 3]]
@@ -121,7 +170,7 @@ def test_complete_after_each_row(tmp_path):
     """What was appended is on disk although the writer was never closed."""
     path = tmp_path / "estimates.h5"
     writer = EstimatesWriter(path, camera=CAMERA, source="", configuration={})
-    writer.append(estimate(0))
+    writer.append(estimate(0), 200)
     copy = tmp_path / "copy.h5"
     copy.write_bytes(path.read_bytes())
     assert len(read_estimates(copy)) == 1

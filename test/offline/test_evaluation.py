@@ -158,8 +158,8 @@ def test_interrupt_in_the_middle_of_a_row_leaves_no_part_of_it(folder, tmp_path)
     class Interrupted(EstimatesWriter):
         rows = 0
 
-        def append(self, estimate, tracks=None):
-            super().append(estimate, tracks)
+        def append(self, estimate, window_events, tracks=None):
+            super().append(estimate, window_events, tracks)
             self.rows += 1
             if self.rows == 3:
                 raise KeyboardInterrupt
@@ -204,6 +204,54 @@ def test_report_holds_the_values(folder, tmp_path):
     assert "window.duration_ms" in html
     assert html.count("data:image/png;base64,") >= 1
     assert not re.search(r'(src|href)="(?!data:|#)', html), "not self-contained"
+
+
+def test_every_result_holds_the_same_record_of_quality(folder, tmp_path):
+    """Of an estimate from 400 of a window's latest 600 events, and of a window that failed."""
+
+    class Thinning(KnownErrors):
+        def estimate(self, window):
+            whole = super().estimate(window)
+            quality = Quality(400, 9, "deadline", 1.5, 0.25, 0.75, 0.05, True)
+            start = window.t_start + 40_000_000
+            return replace(whole, t_start=start, quality=quality, linear=np.array([0, 0, 1.0]))
+
+    with EstimatesWriter(tmp_path / "e.h5", camera=CAMERA, source="", configuration={}) as writer:
+        done = run(folder, Thinning(fail_at=(2,)), writer=writer)
+    report = json.loads(write_report(done, {}, tmp_path).json.read_text())
+    with (tmp_path / "windows.csv").open() as file:
+        table = list(csv.DictReader(file))
+    thinned = {
+        "translation_observable": False,
+        "window_events": 600,
+        "events": 400,
+        "iterations": 9,
+        "stop_reason": "deadline",
+        "contrast_gain": 1.5,
+        "residual_px": 0.25,
+        "inlier_fraction": 0.75,
+        "warm": True,
+        "runtime_s": 0.05,
+    }
+    failed = {
+        "translation_observable": False,
+        "window_events": 1000,
+        "events": 0,
+        "iterations": 0,
+        "stop_reason": "diverged",
+        "contrast_gain": None,
+        "residual_px": None,
+        "inlier_fraction": None,
+        "warm": False,
+        "runtime_s": 0.0,
+    }
+    columns = read_estimates(tmp_path / "e.h5").columns
+    for i, expected in enumerate((thinned, failed, thinned)):
+        assert {name: report["windows"][i][name] for name in expected} == expected
+        in_table = {name: "" if value is None else str(value) for name, value in expected.items()}
+        assert {name: table[i][name] for name in expected} == in_table
+        for name, value in expected.items():
+            np.testing.assert_equal(columns[name][i], np.nan if value is None else value)
 
 
 def test_report_shows_every_truth_and_moving_objects(folder, tmp_path):

@@ -109,6 +109,8 @@ def test_file_of_a_recording(monkeypatch, tmp_path, ecd, capsys):
         assert file["chunk"][:].tolist() == [0] * 4 + [1] * 4 + [2] * 4 + [3] * 4 + [4] * 3
         assert file["stop_reason"].asstr()[0] == "converged"
         assert file["iterations"][0] == 7
+        assert file["warm"][:].all()
+        assert file["window_events"][:].tolist() == [50] * 19
         provenance = json.loads(file.attrs["provenance"])
     assert provenance["chunks"] == {"length_s": 0.2, "margin_s": 0.1}
     assert provenance["recording"]["name"] == "spin"
@@ -129,6 +131,7 @@ def test_estimate_of_a_window_s_latest_part(monkeypatch, tmp_path, ecd):
     assert call(monkeypatch, tmp_path / "out", ecd("spin")) == 0
     path = tmp_path / "out" / "spin.h5"
     assert rows(path, "t_start_ns") == [[SECOND + (k * 50 + 30) * MS for k in range(19)]]
+    assert rows(path, "window_events") == [[20] * 19]
     with h5py.File(path) as file:
         for k in (0, 4):
             latest = pixels(tmp_path / "spin")[50 * k + 30 : 50 * k + 50]
@@ -218,6 +221,16 @@ def test_resumption_of_another_run_is_refused(monkeypatch, tmp_path, ecd, capsys
     assert call(monkeypatch, out, path, *changed) == 0
     assert call(monkeypatch, out, path, "--resume") == 1  # the finished file, too
     assert f"a.h5: of a run with {what}" in capsys.readouterr().err
+
+
+def test_chunks_of_an_earlier_version_are_not_resumed(monkeypatch, tmp_path, ecd, capsys):
+    path = ecd("a")
+    interrupt(monkeypatch, tmp_path / "out", path)
+    with h5py.File(tmp_path / "out" / "a.parts" / "000000.h5", "r+") as file:
+        del file["window_events"]
+    assert call(monkeypatch, tmp_path / "out", path, "--resume") == 1
+    words = "000000.h5: of an earlier version, without window_events; leave --resume out"
+    assert words in capsys.readouterr().err
 
 
 def test_recording_that_changed_is_not_resumed(monkeypatch, tmp_path, ecd, capsys):
