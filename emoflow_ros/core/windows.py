@@ -51,8 +51,8 @@ class WindowPolicy:
     )
     stride_ms: float = option(
         0.0,
-        "from one window's start to the next one's: less than the duration overlaps them, "
-        "0 or more means the duration",
+        "from one window's start to the next one's: less than the duration overlaps them; "
+        "0, or more than the duration, means the duration",
         unit="ms",
         minimum=0.0,
         maximum=10_000.0,

@@ -62,9 +62,6 @@ def test_random_motions_keep_their_sign_in_noise(epipolar, noise_px, typical_deg
         flow = noisy_flow(epipolar, v, rng.normal(scale=0.02, size=3), rng, noise_px)
         found, _ = signed_direction(epipolar, flow)
         angles.append(np.degrees(np.arccos(np.clip(found @ v, -1, 1))))
-    print(
-        np.median(angles), np.percentile(angles, [90, 95, 99]), np.mean(np.array(angles) > 90) * 100
-    )
     assert np.median(angles) < typical_deg  # directions of the search are 16 degrees apart
     assert 100 * np.mean(np.array(angles) > 90) <= wrong_percent
 
