@@ -1,13 +1,14 @@
 """What profiles.py measured, as tables in Markdown."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks._scoring import SCENES
+from benchmarks._scoring import PAPER_SPEED_UP, SCENES
 
+FAST = "realtime"  # the profile that the targets are about
 _HEADS = (
     "windows", "EPE, px", "EPE, static scene, px", "Out, %", "AE, deg", "RMS w, deg/s",
     "v, deg", "s/window", "CPU s/window",
@@ -81,22 +82,69 @@ def table(cells: Sequence[Cell]) -> str:
 
 def paired_table(cells: Sequence[Cell]) -> str:
     """Lay out every profile on the windows that a slow profile has, and on no others."""
+    lines = []
+    for slow, scenes in _paired(cells).items():
+        lines += _head(f"The windows of {slow}")
+        for scene, by_profile in scenes.items():
+            lines += [_line(scene, profile, rows) for profile, rows in by_profile.items()]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def verdicts(cells: Sequence[Cell]) -> str:
+    """Judge `realtime` against every slow profile, scene by scene, on the windows of the latter.
+
+    Target: at least as good in EPE, w and v, and so many times faster in processor time.
+    """
+    heads = ("scene", "windows", "EPE, px", "RMS w, deg/s", "v, deg", "times faster", "verdict")
+    lines = []
+    for slow, scenes in _paired(cells).items():
+        lines += [
+            f"Target: `{FAST}` <= `{slow}` in EPE, w and v, at least {PAPER_SPEED_UP:.0f} times "
+            "faster in processor time:",
+            "",
+            _markdown(heads),
+            _markdown(["---"] * len(heads)),
+            *(_verdict(scene, scenes.get(scene, {}), slow) for scene in SCENES),
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def _verdict(scene: str, by_profile: Mapping[str, Sequence[Row]], slow: str) -> str:
+    if not {FAST, slow} <= by_profile.keys():
+        return _markdown([scene, "0", *["-"] * 4, "not measured"])
+    ours, theirs = by_profile[FAST], by_profile[slow]
+    cells, missed = [], []
+    for name, of in (("EPE", _epe), ("w", _w_rms), ("v", _v_error)):
+        us, them = of(ours), of(theirs)
+        cells.append(f"{_number(us)} / {_number(them)}")
+        if them is not None and (us is None or us > them):
+            missed.append(name)
+    faster = float(_cpu_seconds(theirs) / _cpu_seconds(ours))
+    if faster < PAPER_SPEED_UP:
+        missed.append("speed")
+    result = f"missed: {', '.join(missed)}" if missed else "met"
+    return _markdown([scene, str(len(ours)), *cells, f"{faster:.0f}", result])
+
+
+def _paired(cells: Sequence[Cell]) -> dict[str, dict[str, dict[str, list[Row]]]]:
+    """By slow profile, scene and profile: the rows of those that have all of the slow one's."""
     by_window = {
         (cell.profile, cell.scene, cell.seed, row.index): row for cell in cells for row in cell.rows
     }
     streamed = {cell.profile for cell in cells if len(cell.rows) > 1}
-    lines = []
+    pairs: dict[str, dict[str, dict[str, list[Row]]]] = {}
     for slow in dict.fromkeys(c.profile for c in cells if c.profile not in streamed):
-        lines += _head(f"The windows of {slow}")
-        for scene in SCENES:
+        pairs[slow] = {scene: {} for scene in SCENES}
+        for scene, by_profile in pairs[slow].items():
             chosen = sorted(key[1:] for key in by_window if key[:2] == (slow, scene))
             for profile in dict.fromkeys(c.profile for c in cells):
                 keys = [(profile, *window) for window in chosen]
                 rows = [by_window[key] for key in keys if key in by_window]
                 if rows and len(rows) == len(keys):
-                    lines.append(_line(scene, profile, rows))
-        lines.append("")
-    return "\n".join(lines)
+                    by_profile[profile] = rows
+    return pairs
 
 
 def _pairs(cells: Sequence[Cell]) -> Iterable[tuple[str, str]]:
@@ -124,19 +172,39 @@ def _head(title: str) -> list[str]:
 
 def _line(scene: str, profile: str, rows: Sequence[Row]) -> str:
     figures = (
-        _over(np.mean, [row.epe_px for row in rows]),
+        _epe(rows),
         _over(np.mean, [row.static_epe_px for row in rows]),
         _over(np.mean, [row.out_percent for row in rows]),
         _over(np.mean, [row.ae_deg for row in rows]),
-        _over(lambda rms: np.sqrt(np.mean(rms**2)), [row.w_rms_deg_s for row in rows]),
-        _over(np.median, [row.v_error_deg for row in rows]),
+        _w_rms(rows),
+        _v_error(rows),
     )
-    seconds = (np.median([row.seconds for row in rows]), np.median([r.cpu_seconds for r in rows]))
-    numbers = ["-" if value is None else f"{value:.2f}" for value in figures]
+    seconds = (np.median([row.seconds for row in rows]), _cpu_seconds(rows))
+    numbers = [_number(value) for value in figures]
     ok = sum(row.status == "ok" for row in rows)
     count = str(len(rows)) if ok == len(rows) else f"{ok} of {len(rows)}"
     times = [f"{value:.3g}" for value in seconds]
     return _markdown([scene, f"`{profile}`", count, *numbers, *times])
+
+
+def _epe(rows: Sequence[Row]) -> float | None:
+    return _over(np.mean, [row.epe_px for row in rows])
+
+
+def _w_rms(rows: Sequence[Row]) -> float | None:
+    return _over(lambda rms: np.sqrt(np.mean(rms**2)), [row.w_rms_deg_s for row in rows])
+
+
+def _v_error(rows: Sequence[Row]) -> float | None:
+    return _over(np.median, [row.v_error_deg for row in rows])
+
+
+def _cpu_seconds(rows: Sequence[Row]) -> float:
+    return float(np.median([row.cpu_seconds for row in rows]))
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _over(statistic: Callable[[Any], Any], values: Sequence[float | None]) -> float | None:

@@ -15,6 +15,7 @@ from emoflow_ros.simulation.truth import GroundTruth
 
 SCENES = ("calm", "forward", "mover", "noisy", "agile", "rotation", "driving")
 MIN_WINDOWS = 50  # per scene, for the targets to mean something
+PAPER_SPEED_UP = 5000.0  # target: the published loop's time over a warm window's
 _FLOW_SCENES = ("calm", "forward", "mover", "noisy")
 _TRAVELLING_SCENES = tuple(scene for scene in SCENES if scene != "rotation")
 

@@ -3,7 +3,8 @@
 All take windows as long as the published ones, 90 ms, and whole. realtime and rigid estimate all
 18 of a recording, one after the other; the published loop starts every window cold and takes
 minutes for each, so that it is run on the chosen windows only.
-Two tables come out: all windows of each profile, and every profile on the windows of the slow ones.
+Tables come out: all windows of each profile, every profile on the windows of the slow ones, and on
+these a verdict per scene, realtime / slow profile.
 Everything runs on one thread. EPE, outliers and angular error are over the pixels with events,
 averaged per window and then over windows; the error of w is over windows and axes, that of v the
 median angle, sign included; seconds are medians, flow image included. Seconds of the processor
@@ -27,7 +28,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks._profile_tables import Cell, Row, paired_table, table
+from benchmarks._profile_tables import Cell, Row, paired_table, table, verdicts
 from benchmarks._scoring import SCENES, SimulatedTruth, normalised_errors
 from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
@@ -113,7 +114,7 @@ def _measure(args: argparse.Namespace) -> None:
             break
         _save(args.out / job.file_name, measure(job, configs[job.profile]))
     cells = list(_load(args.out, configs))
-    report = table(cells) + "\n" + paired_table(cells)
+    report = "\n".join([table(cells), paired_table(cells), verdicts(cells)])
     print(report)
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "table.md").write_text(report)

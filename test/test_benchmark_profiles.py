@@ -6,7 +6,7 @@ import re
 import pytest
 
 from benchmarks import profiles
-from benchmarks._profile_tables import Cell, Row, paired_table, table
+from benchmarks._profile_tables import Cell, Row, paired_table, table, verdicts
 from emoflow_ros.core.config import load_config
 
 TINY = {
@@ -68,6 +68,37 @@ def test_pairs_are_the_same_windows():
     assert "`rigid`" not in text  # it lacks one of the two windows
 
 
+def test_every_scene_gets_a_verdict_from_the_pairs():
+    def cells(scene, fast, slow):
+        other = row(0, 9.0, cpu_seconds=9.0)  # a window that the slow profile has not
+        return [
+            Cell("realtime", scene, 0, (other, fast), {}, WHERE),
+            Cell("paper_early_stop", scene, 0, (slow,), {}, WHERE),
+        ]
+
+    slow = row(1, 0.5, w_rms_deg_s=3.0, v_error_deg=10.0, cpu_seconds=75.0)
+    lost = row(1, 0.5, w_rms_deg_s=None, v_error_deg=None)
+    text = verdicts(
+        [
+            *cells("calm", row(1, 0.5), slow),
+            *cells("mover", row(1, 0.4, w_rms_deg_s=3.5, v_error_deg=65.0), slow),
+            *cells("noisy", row(1, 0.6, cpu_seconds=0.02), slow),
+            *cells("agile", lost, slow),
+            *cells("rotation", row(1, 0.1, v_error_deg=None), row(1, 0.5, v_error_deg=None)),
+        ]
+    )
+    found = {
+        line.split(" | ")[0][2:]: line[2:-2].split(" | ")[1:] for line in text.splitlines()[4:]
+    }
+    assert found["calm"] == ["1", "0.50 / 0.50", "3.00 / 3.00", "10.00 / 10.00", "5000", "met"]
+    assert found["mover"][-1] == "missed: w, v"
+    assert found["noisy"][-2:] == ["3750", "missed: EPE, speed"]
+    assert found["agile"][2:] == ["- / 3.00", "- / 10.00", "5000", "missed: w, v"]
+    assert found["rotation"][3:] == ["- / -", "1", "missed: speed"]
+    assert found["driving"] == ["0", "-", "-", "-", "-", "not measured"]
+    assert "`realtime` <= `paper_early_stop` in EPE, w and v, at least 5000 times faster" in text
+
+
 @pytest.fixture
 def command(monkeypatch, tmp_path):
     """Run the benchmark on short recordings with a tiny network; count what is measured."""
@@ -113,7 +144,9 @@ def test_a_run_goes_on_where_it_was_cut(command, tmp_path, capsys):
 
     text = (tmp_path / "table.md").read_text()
     assert text in capsys.readouterr().out
-    paired = text[text.index("The windows of paper:") :]
+    paired, _, judged = text[text.index("The windows of paper:") :].partition("Target:")
+    assert judged.count("| not measured |") == 6  # all scenes but the one that was run
+    assert "| mover | 1 | " in judged
     assert numbers(paired, "mover", "realtime")[1] == f"{streamed[1]['epe_px']:.2f}"
 
     kept["configuration"]["estimator.optimizer.iterations"] = 11

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks import growth, realtime
 from benchmarks._scoring import Score, normalised_errors, summarise, verdict
-from benchmarks.paper import Timing
+from benchmarks.paper import Timing, compare_with_target
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
@@ -171,7 +171,7 @@ def test_realtime_reports_what_it_ran(tmp_path, monkeypatch, capsys):
     assert "iterations x measured" in printed
 
 
-def test_growth_reports_what_it_ran(tmp_path, monkeypatch):
+def test_growth_reports_what_it_ran(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(growth, "EVENTS", (6000, 9000))
     monkeypatch.setattr(growth, "SIZES", ((160, 120), (212, 160)))
     monkeypatch.setattr(growth, "EVENTS_PER_SIZE", 4000)
@@ -188,6 +188,9 @@ def test_growth_reports_what_it_ran(tmp_path, monkeypatch):
     assert all(p["warm_windows"] == 1 and p["warm_ms"] > 0 for p in by_events + by_pixels)
     a, b = (p["warm_ms"] for p in by_events)
     assert report["lines"]["events"]["slope_ms"] == pytest.approx((b - a) / 3000)
+    assert report["target_largest_deviation_percent"] == 10
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("linear")]
+    assert [line.split()[-3:] for line in printed] == [["10.0", "0.0", "met"]] * 2  # two points
     assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -198,6 +201,61 @@ def test_a_line_and_how_far_measurements_are_off():
     bent = growth.Line.through([0, 1, 2], [1.0, 0.5, 3.0])
     assert (bent.slope_ms, bent.intercept_ms) == pytest.approx((1, 0.5))
     assert bent.largest_deviation_percent == pytest.approx(200)
+
+
+def test_what_bends_misses_its_target():
+    straight = growth.Line(1e-4, 5.0, 0.999, 9.96)
+    bent = growth.Line(1e-4, 5.0, 0.999, 10.4)
+    verdicts = [growth.table("events", [], line).splitlines()[-1] for line in (straight, bent)]
+    assert [v.split()[-3:] for v in verdicts] == [
+        ["10.0", "10.0", "met"],
+        ["10.0", "10.4", "missed"],
+    ]
+
+
+def test_node_judges_every_figure_that_has_a_target():
+    node = pytest.importorskip("benchmarks.node", reason="no ROS: run `make test`")
+    usage = {"resident_mb_max": 450.0, "growth_mb_per_min": 1.3, "cores": 0.6}
+    report = {
+        "scene": "calm",
+        "camera": "346x260",
+        "duration_s": 120.0,
+        "rate": 1.0,
+        "replayed_at": 0.98,
+        "machine": {"processor": "abacus"},
+        "load_average_at_start": 0.1,
+        "windows": {"expected": 1776, "estimated": 1775, "dropped": 0},
+        "latency_ms": {"p50": 41.0, "p95": 53.0, "max": 97.0},
+        "warm_up_ms": [None, 200.0, 50.0],
+        "listening_s": 2.0,
+        "processes": {"node + worker": {**usage, "resident_mb": [450.0] * 119}},
+    }
+
+    def judged(resident_mb: list[float]) -> dict[str, list[str]]:
+        report["processes"]["node + worker"]["resident_mb"] = resident_mb
+        rows = [(line[:38].strip(), line[38:].split()) for line in node.table(report).splitlines()]
+        return {label: row for label, row in rows if row[-1:] in (["met"], ["missed"])}
+
+    assert judged([450.0] * 119) == {
+        "replay slower than 1x, %": ["1.00", "2.00", "missed"],
+        "of these without a twist": ["0", "1", "missed"],
+        "of these dropped": ["0", "0", "met"],
+        "last event to twist, 95 %, ms": ["60.00", "53.00", "met"],
+        "memory of node + worker, MB": ["1500.00", "450.00", "met"],
+        "its growth in the later half, MB/min": ["1.00", "1.30", "missed"],
+    }
+    assert "its growth in the later half, MB/min" not in judged([450.0] * 20)
+    assert "growth is judged from 60 s on" in node.table(report)
+    assert node._parser().parse_args([]).duration == 120
+
+
+def test_loop_on_a_gpu_is_held_against_its_target():
+    """A fifth of the iterations with the contrast alone."""
+    found = compare_with_target(vars(Timing(1e-3, 2e-3)))
+    assert found["result"] == pytest.approx(1.8e-3)
+    assert found["seconds_per_iteration"] == pytest.approx(1.95e-3)
+    assert found["verdict"] == "met"
+    assert compare_with_target(vars(Timing(1e-3, 2.5e-3)))["verdict"] == "missed"
 
 
 def test_thinned_windows_keep_the_number_and_the_span():
