@@ -121,6 +121,20 @@ class Lattice:
         grid = values.reshape(self.columns, self.rows)
         return map_coordinates(grid, (points * self.per_px).T, order=1, mode="nearest")
 
+    def spread(self, evidence: NDArray[np.float64]) -> float:
+        """Measure how much of the image weights at the nodes (nodes,) extend over.
+
+        Returns:
+            Root of the determinant of their covariance in x and y, over that of even weights: the
+            share of the image's area for one compact spot, 1 for weights all over the image. The
+            lesser half of the weights is taken for noise: the median is subtracted first.
+        """
+        weights = np.maximum(0.0, evidence - np.median(evidence))
+        if not weights.any():
+            return 1.0
+        covariance = np.cov(self.pixels.T, aweights=weights, bias=True)
+        return 12 * float(np.sqrt(np.linalg.det(covariance))) / (self.width * self.height)
+
     def at_time(self, flow: NDArray[np.float32], s: float) -> NDArray[np.float32]:
         """Interpolate a field in time, (columns, rows, 2); constant before 0 and after 1."""
         at = min(1.0, max(0.0, s)) * (self.times - 1)

@@ -53,7 +53,7 @@ class LatticeConfig:
     )
     deadline_ms: float = option(
         0.0,
-        "no further step is begun after this time in a warm window; 0 means no deadline",
+        "after this time a warm window takes no step but its last one; 0 means no deadline",
         unit="ms",
         minimum=0.0,
         maximum=60_000.0,
@@ -69,7 +69,7 @@ class LatticeConfig:
         choices=("auto", "full", "rotation", "translation"),
     )
     direction_drift: float = option(
-        60.0,
+        120.0,
         "random walk of the direction of travel between windows: less drift is more memory, "
         "steadier and later",
         unit="deg per square root of a second",
@@ -77,7 +77,7 @@ class LatticeConfig:
         maximum=1e4,
     )
     angular_drift: float = option(
-        50.0,
+        60.0,
         "random walk of the angular velocity between windows",
         unit="deg/s per square root of a second",
         minimum=0.1,

@@ -34,6 +34,7 @@ _SEARCH_REACH_PX = 48.0
 _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
+_CONFINED = 0.35  # spread of the evidence below which the camera may be at rest
 _SWITCH = 0.8  # another direction of v must explain the flow this much better
 
 
@@ -83,7 +84,7 @@ class LatticeEstimator:
                 self.reset()
                 stop = self._fit_cold(events)
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
-            if gain < self.config.min_contrast_gain:
+            if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
             result = self._result(window, len(events), stop, gain, warm)
         except np.linalg.LinAlgError:
@@ -120,6 +121,8 @@ class LatticeEstimator:
         few = events.every(max(1, len(events) // _COARSE_EVENTS))
         for scale, steps in ((0.25, 2), (0.5, 1)):
             for _ in range(steps):
+                if self._late():
+                    break
                 fit.linearise(few, scale)
                 self._step(prior)
         return self._refine(events, self.config.warm_iterations, prior, hurry=True)
@@ -132,12 +135,12 @@ class LatticeEstimator:
         stop = "iterations"
         for k in range(steps):
             last = k == steps - 1 or fit.step_px < _CONVERGED_PX
-            if k > 0 and hurry and self._late():
+            if hurry and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
             if last and self._reconsider(fit.free_flow(), prior):
                 fit.structure = None
-                for _ in range(_STEPS_AFTER_CHANGE):
+                for _ in range(1 if stop == "deadline" else _STEPS_AFTER_CHANGE):
                     fit.linearise(events, 1.0)
                     self._step(None)
                 break
@@ -196,6 +199,11 @@ class LatticeEstimator:
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])
         return after
+
+    def _is_confined(self) -> bool:
+        """Tell whether all that moves is one spot: an object before a camera at rest, it may be."""
+        evidence = np.trace(self._fit.evidence, axis1=1, axis2=2)
+        return self.config.model == "auto" and self.lattice.spread(evidence) < _CONFINED
 
     def _result(self, window: Window, used: int, stop: str, gain: float, warm: bool) -> Estimate:
         fit = self._fit

@@ -88,6 +88,11 @@ def _mover(duration_s: float, rng: np.random.Generator) -> Scene:
     return Scene(calm.quads + tuple(box), calm.camera, path)
 
 
+def _bystander(duration_s: float, rng: np.random.Generator) -> Scene:
+    mover = _mover(duration_s, rng)
+    return Scene(mover.quads, Trajectory(), mover.mover)
+
+
 def _forward(duration_s: float, rng: np.random.Generator) -> Scene:
     speed = 1.0
     length = speed * duration_s + 9.0
@@ -133,6 +138,7 @@ SCENES: dict[str, SceneBuilder] = {
     "mover": _mover,
     "noisy": _noisy,
     "static": _static,
+    "bystander": _bystander,
 }
 
 

@@ -216,3 +216,18 @@ def test_an_interval_of_many_windows_takes_bounded_time():
     )
     tracks = flow.tracks(CENTRE[None], [START - 100 * MS, START])
     np.testing.assert_allclose(tracks[1] - CENTRE, [[100.0, 0.0]], rtol=1e-4)
+
+
+def test_spread_is_the_area_of_a_spot():
+    """Of a block of m x n nodes the variances are (m^2 - 1) / 12 cells along x, likewise y."""
+    spot = np.zeros((14, 11))
+    spot[3:8, 2:6] = 2.5
+    area = np.sqrt((5**2 - 1) * (4**2 - 1)) * np.prod(1 / LATTICE.per_px) / (346 * 260)
+    assert LATTICE.spread(spot.ravel()) == pytest.approx(area, rel=1e-6)
+    assert LATTICE.spread(spot.ravel() + 7.0) == pytest.approx(area, rel=1e-6)  # even noise
+
+
+def test_weights_all_over_the_image_spread_over_all_of_it():
+    checkers = np.indices((14, 11)).sum(0) % 2
+    assert LATTICE.spread(checkers.ravel().astype(float)) == pytest.approx(1.15, abs=0.05)
+    assert LATTICE.spread(np.ones(14 * 11)) == 1.0

@@ -152,6 +152,7 @@ EXPECTED = {  # |w| deg/s, mean displacement in px per 90 ms
     "mover": ((7, 15), (4, 10)),
     "noisy": ((7, 15), (4, 8)),
     "static": ((0, 0), (0, 0)),
+    "bystander": ((0, 0), (0.5, 4)),
 }
 
 
@@ -164,7 +165,7 @@ def test_scenes_move_as_they_are_named(scene: str, seed: int) -> None:
         linear, angular = truth.twist(t)
         assert low <= np.degrees(np.linalg.norm(angular)) <= high
         assert near <= length(truth.displacement(t, t + 90 * MS)).mean() <= far
-        assert (np.linalg.norm(linear) == 0) == (scene in ("rotation", "static"))
+        assert (np.linalg.norm(linear) == 0) == (scene in ("rotation", "static", "bystander"))
 
 
 def test_driving_spans_near_road_and_far_hills() -> None:
