@@ -43,7 +43,7 @@ find_python() {
 # Digest of what decides the contents of .venv and install/; the sources themselves are linked.
 digest() {
     {
-        cat scripts/setup.sh requirements{,-ros}.{in,lock}
+        cat scripts/setup.sh requirements{,-ros}.{in,lock} requirements-test.in
         cat package.xml setup.py setup.cfg
         find launch config resource -type f | sort
         [ -d "$ROS" ] && echo "$ROS"
@@ -65,11 +65,11 @@ make_venv() {
 # The lock constrains and does not list what to install, so that a CPU build of PyTorch
 # (UV_TORCH_BACKEND=cpu) leaves the CUDA libraries out.
 install_requirements() {
-    local names=(requirements) options=() name
-    [ -d "$ROS" ] || names+=(requirements-ros)
-    for name in "${names[@]}"; do
-        options+=(--requirements "$name.in" --constraints "$name.lock")
+    local options=(--constraints requirements.lock) name
+    for name in requirements requirements-test; do
+        options+=(--requirements "$name.in")
     done
+    [ -d "$ROS" ] || options+=(--requirements requirements-ros.in --constraints requirements-ros.lock)
     echo "setup: requirements (several gigabytes the first time)"
     "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "${options[@]}"
 }

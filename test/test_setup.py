@@ -10,6 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCKS = ("requirements", "requirements-ros", "requirements-messages")
+LOCK_OF = {name: name for name in LOCKS} | {"requirements-test": "requirements"}
 
 
 def entry_points() -> dict[str, str]:
@@ -26,9 +27,9 @@ def test_version_is_the_same_everywhere() -> None:
     assert manifest.findtext("version") == described[1] == emoflow_ros.__version__
 
 
-@pytest.mark.parametrize("name", LOCKS)
+@pytest.mark.parametrize("name", LOCK_OF)
 def test_lock_pins_all_requirements_and_names_no_index(name: str) -> None:
-    lock = (ROOT / f"{name}.lock").read_text().splitlines()
+    lock = (ROOT / f"{LOCK_OF[name]}.lock").read_text().splitlines()
     pins = dict(line.split("==") for line in lock)
     assert all(re.fullmatch(r"[\w.+!]+", version) for version in pins.values())
     for line in (ROOT / f"{name}.in").read_text().splitlines():
