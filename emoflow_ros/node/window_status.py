@@ -37,6 +37,7 @@ def judge_result(
         "inlier_fraction": f"{quality.inlier_fraction:.3f}",
         "iterations": str(quality.iterations),
         "stop_reason": quality.stop_reason,
+        "warm": str(quality.warm).lower(),
         "runtime_ms": f"{1e3 * quality.runtime_s:.1f}",
     }
     common = _common(result.stamp, now, str(estimate.status), quality.events)
