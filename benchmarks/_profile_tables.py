@@ -108,7 +108,9 @@ def verdicts(cells: Sequence[Cell]) -> str:
             *(_verdict(scene, scenes.get(scene, {}), slow) for scene in SCENES),
             "",
         ]
-    return "\n".join(lines)
+    return "\n".join(
+        lines or ["Target: not measured, no window of the published loop is there.", ""]
+    )
 
 
 def _verdict(scene: str, by_profile: Mapping[str, Sequence[Row]], slow: str) -> str:

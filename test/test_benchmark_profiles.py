@@ -96,6 +96,8 @@ def test_every_scene_gets_a_verdict_from_the_pairs():
     assert found["agile"][2:] == ["- / 3.00", "- / 10.00", "5000", "missed: w, v"]
     assert found["rotation"][3:] == ["- / -", "1", "missed: speed"]
     assert found["driving"] == ["0", "-", "-", "-", "-", "not measured"]
+    nothing = verdicts(cells("calm", row(1, 0.5), slow)[:1])
+    assert nothing == "Target: not measured, no window of the published loop is there.\n"
     assert "`realtime` <= `paper_early_stop` in EPE, w and v, at least 5000 times faster" in text
 
 
