@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import EventTopic, TopicSearch, import_message_type
+from emoflow_ros.node.qos_overrides import given_overrides
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.statistics import Level, Statistics
 
@@ -160,7 +161,7 @@ class EventSource:
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=lambda _: self._report_incompatible_qos(topic)
                 ),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                qos_overriding_options=given_overrides(self._node, topic.name),
                 raw=True,
             )
         )

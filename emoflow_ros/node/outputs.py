@@ -72,8 +72,10 @@ class Outputs:
         scaling = self._scale.at(result.stamp)
         problems = {"scale": scaling.problem}
         if result.estimate.status is Status.OK:
-            problems["frame"] = self._publish_twists(result, scaling.factor)
+            # Pictures first: one that is larger than Fast DDS's shared memory (512 KiB) overwrites
+            # there what was sent just before and is not yet read.
             self._publish_pictures(result)
+            problems["frame"] = self._publish_twists(result, scaling.factor)
         for part, problem in problems.items():
             self._statistics.clear_problem(part)
             if problem:

@@ -46,6 +46,7 @@ def test_status_of_an_estimate_holds_its_quality_and_age(task: Task) -> None:
         "inlier_fraction": "0.875",
         "iterations": "17",
         "stop_reason": "converged",
+        "warm": "false",
         "runtime_ms": "30.4",
     }
 
