@@ -65,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         "--scenes", nargs="+", default=SCENES, choices=SCENES, metavar="SCENE", help="default: all"
     )
     parser.add_argument(
-        "--seeds", nargs="+", type=int, default=(0, 1, 2), metavar="SEED", help="default: 0 1 2"
+        "--seeds", nargs="+", type=int, default=range(5), metavar="SEED", help="default: 0 to 4"
     )
     parser.add_argument("--windows-per-seed", type=int, default=18, help="default: 18")
     parser.add_argument(

@@ -106,6 +106,9 @@ def best_rotations(
 ) -> None:  # fmt: skip
     """Fit a rotation to each field of normals: robust least squares in n . (u - b w).
 
+    What of the scene would lie behind the camera costs its whole u - b w, not the part across the
+    line alone: no depth explains it. v's sign is the one that makes this cheaper.
+
     Args:
         normal: (M, nodes, 2) unit normals of the epipolar lines of M directions of v.
         b: (nodes, 2, 3).
@@ -141,14 +144,25 @@ def best_rotations(
                     for j in range(3):
                         matrix[i, j] += weighted * row[n, j]
             w[m] = np.linalg.solve(_regular(matrix), vector)
-            cost[m] = 0.0
             for n in range(nodes):
                 r = target[n]
                 for j in range(3):
                     r -= row[n, j] * w[m, j]
-                r2 = (r / inlier) ** 2
-                weight[n] = certain[n] / (1 + r2) ** 2
-                cost[m] += inlier**2 * certain[n] * r2 / (1 + r2)
+                weight[n] = certain[n] / (1 + (r / inlier) ** 2) ** 2
+        ahead, behind = 0.0, 0.0
+        for n in range(nodes):
+            x, y = flow[n, 0], flow[n, 1]
+            for j in range(3):
+                x -= b[n, 0, j] * w[m, j]
+                y -= b[n, 1, j] * w[m, j]
+            nx, ny = normal[m, n, 0], normal[m, n, 1]
+            r = nx * x + ny * y
+            across = _robust(nx * r, ny * r, evidence[n], inlier)
+            whole = _robust(x, y, evidence[n], inlier)
+            in_front = ny * x - nx * y > 0
+            ahead += across if in_front else whole
+            behind += whole if in_front else across
+        cost[m] = min(ahead, behind)
 
 
 @_compiled
@@ -194,6 +208,12 @@ def best_rotation(
         for n in range(nodes):
             weight[n] = 1 / (1 + r2[n] / scale) ** 2
     return w, cost
+
+
+@_compiled
+def _robust(x: float, y: float, evidence: F64, inlier: float) -> float:
+    """Geman-McClure cost of a residual (x, y) in px per window."""
+    return _square(x, y, evidence) / (1 + (x * x + y * y) / inlier**2)
 
 
 @_compiled

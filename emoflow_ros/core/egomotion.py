@@ -157,7 +157,8 @@ class NodeEpipolar:
         """Score constant motions against a flow, over all directions of v.
 
         For a given v the residual is linear in w: robust least squares for each of the
-        directions of a hemisphere (the DEC does not know the sign).
+        directions of a hemisphere (the DEC does not know the sign). The cost is of the residual
+        and, where the scene would lie behind the camera, of all the translational flow.
 
         Args:
             flow: (nodes, 2) px per window.

@@ -195,6 +195,7 @@ class LatticeEstimator:
         after = self._selector.update(self._epipolar, free, w, v)
         if self.config.model != "auto":
             after = self._selector.model = MotionModel(self.config.model)
+        self._fit.front = float(np.copysign(1.0, self._selector.agreement))
         self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])

@@ -90,6 +90,8 @@ class LatticeFit:
         motion: the egomotion, or None before the flow is good enough to look for it.
         structure: inverse depths known from earlier windows, or None.
         straight: whether the motion is a pure translation.
+        front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along
+            -v, 0 if that is not known.
         evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
         information: (25, 25) on the motion's unknowns after the last step with a motion. That the
             motion is straight adds to it only where it is known, not where the evidence chose it.
@@ -111,6 +113,7 @@ class LatticeFit:
         self.motion: Motion | None = None
         self.structure: Structure | None = None
         self.straight = False
+        self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.information = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
         self.step_px = 0.0
@@ -184,7 +187,10 @@ class LatticeFit:
         """Step flow and egomotion together, tied by the epipolar constraint."""
         motion = self._require_motion()
         dec = self.epipolar.residuals(self.node_flow, motion)
-        terms = [(dec, self.config.dec_weight * self.epipolar.robust_weight(dec.r))]
+        terms = [
+            (dec, self.config.dec_weight * self.epipolar.robust_weight(dec.r)),
+            self._front_term(motion),
+        ]
         if self.structure is not None:
             terms.append(self._structure_term(motion, self.structure))
         for residuals, weight in terms:
@@ -195,6 +201,14 @@ class LatticeFit:
             self.information -= self._stillness
         self.motion = motion.moved(change)
         self._move(step)
+
+    def _front_term(self, motion: Motion) -> tuple[Residuals, Array]:
+        """Flow from behind the camera, against that of an infinite depth, the nearest possible."""
+        infinity = np.zeros(len(self.epipolar.usable))
+        residuals = self.epipolar.structure_residuals(self.node_flow, motion, infinity)
+        behind = self.front * residuals.r < 0
+        weight = self.config.dec_weight * self.epipolar.robust_weight(residuals.r)
+        return residuals, behind * weight
 
     def _structure_term(self, motion: Motion, structure: Structure) -> tuple[Residuals, Array]:
         residuals = self.epipolar.structure_residuals(

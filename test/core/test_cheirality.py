@@ -23,12 +23,14 @@ LENSES = {
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
 NODES = LATTICE.columns * LATTICE.rows
 MOTIONS = 200  # for each lens
+INLIER_PX = 0.7
+CERTAIN = np.tile(np.eye(2), (NODES, 1, 1))
 
 
 @pytest.fixture(scope="module", params=LENSES)
 def epipolar(request) -> NodeEpipolar:
     camera = Camera(346, 260, 226.4, 226.2, 173.6, 133.7, request.param, LENSES[request.param])
-    return NodeEpipolar(camera, LATTICE, 0.7)
+    return NodeEpipolar(camera, LATTICE, INLIER_PX)
 
 
 def noisy_flow(epipolar: NodeEpipolar, v: Array, w: Array, rng, noise_px: float) -> Array:
@@ -38,14 +40,17 @@ def noisy_flow(epipolar: NodeEpipolar, v: Array, w: Array, rng, noise_px: float)
     return exact + rng.normal(scale=noise_px, size=exact.shape)
 
 
+def agreement_with(epipolar: NodeEpipolar, flow: Array, v: Array, w: Array) -> float:
+    """Cheirality, all nodes counting alike."""
+    normalised = np.einsum("nij,nj->ni", epipolar.to_bearing, flow)
+    return cheirality(epipolar.bearings, normalised, v, w, np.ones(NODES))
+
+
 def signed_direction(epipolar: NodeEpipolar, flow: Array) -> tuple[Array, float]:
     """Best direction of the search, turned so that the scene lies in front; the agreement."""
-    directions, rotations, costs = epipolar.search(flow, np.tile(np.eye(2), (NODES, 1, 1)))
+    directions, rotations, costs = epipolar.search(flow, CERTAIN)
     best = int(costs.argmin())
-    normalised = np.einsum("nij,nj->ni", epipolar.to_bearing, flow)
-    agreement = cheirality(
-        epipolar.bearings, normalised, directions[best], rotations[best], np.ones(NODES)
-    )
+    agreement = agreement_with(epipolar, flow, directions[best], rotations[best])
     return np.copysign(1.0, agreement) * directions[best], abs(agreement)
 
 
@@ -83,14 +88,31 @@ def test_opposite_motions_are_found_opposite(epipolar):
 
 
 def test_agreement_is_low_where_nothing_tells_the_sign(epipolar):
-    """A rotation has no sign of v; agreement of its noise is far below that of a translation."""
+    """A rotation has no sign of v; agreement of its noise is far below that of a translation.
+
+    For any v, that is: the one found in the noise is the one that it agrees with.
+    """
     rng = np.random.default_rng(2)
     v = np.array([0.6, -0.48, 0.64])
     of_rotations, of_translations = [], []
     for _ in range(50):
         w = rng.normal(scale=0.02, size=3)
         turning = epipolar.b @ w + rng.normal(scale=0.2, size=(NODES, 2))
-        of_rotations.append(signed_direction(epipolar, turning)[1])
+        found, _ = epipolar.score(v, turning, CERTAIN)
+        of_rotations.append(abs(agreement_with(epipolar, turning, v, found)))
         of_translations.append(signed_direction(epipolar, noisy_flow(epipolar, v, w, rng, 0.2))[1])
     assert np.median(of_rotations) < 0.4
     assert min(of_translations) > 0.9
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_scene_behind_the_camera_costs_its_whole_flow(epipolar, sign):
+    """A tenth of the flow turned round stays on its lines: what is wrong is its side alone."""
+    v = np.array([0.6, -0.48, 0.64])
+    flow = noisy_flow(epipolar, v, np.zeros(3), np.random.default_rng(13), 0.0)
+    turned = np.arange(NODES) % 10 == 0
+    flow[turned] *= -1
+    found, cost = epipolar.score(sign * v, flow, CERTAIN)
+    np.testing.assert_allclose(found, 0, atol=1e-6)
+    squares = (flow[turned & epipolar.usable] ** 2).sum(-1)
+    assert cost == pytest.approx(np.sum(squares / (1 + squares / INLIER_PX**2)), rel=1e-3)
