@@ -53,7 +53,7 @@ def _has_lost_its_reader(stream: TextIO | None) -> bool:
     """Tell whether a stream is a pipe (or socket) that is closed at its other end."""
     try:
         descriptor = stream.fileno() if stream else -1
-    except OSError:  # not a file: replaced within Python
+    except (OSError, ValueError):  # not a file: replaced within Python, or closed
         return False
     if descriptor < 0:
         return False

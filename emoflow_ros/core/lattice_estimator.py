@@ -35,6 +35,7 @@ _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
 _CONFINED = 0.35  # spread of the evidence below which the camera may be at rest
+_ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
 _SWITCH = 0.8  # another direction of v must explain the flow this much better
 
 
@@ -108,6 +109,8 @@ class LatticeEstimator:
                 fit.step_free()
                 self._iterations += 1
         fit.linearise(events, 1.0)
+        if self._is_confined():
+            return "confined"
         free = fit.free_flow()
         v, w, cost = self._epipolar.search(free.flow, free.information)
         best = int(cost.argmin())
@@ -118,6 +121,7 @@ class LatticeEstimator:
     def _fit_warm(self, events: WindowEvents, prior: MotionPrior | None) -> str:
         """Correct a prediction of flow and motion from coarse to fine."""
         fit = self._fit
+        fit.step_px = np.inf
         few = events.every(max(1, len(events) // _COARSE_EVENTS))
         for scale, steps in ((0.25, 2), (0.5, 1)):
             for _ in range(steps):
@@ -135,14 +139,17 @@ class LatticeEstimator:
         stop = "iterations"
         for k in range(steps):
             last = k == steps - 1 or fit.step_px < _CONVERGED_PX
-            if hurry and self._late():
+            if not last and hurry and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
             if last and self._reconsider(fit.free_flow(), prior):
                 fit.structure = None
-                for _ in range(1 if stop == "deadline" else _STEPS_AFTER_CHANGE):
+                for _ in range(_STEPS_AFTER_CHANGE):
                     fit.linearise(events, 1.0)
                     self._step(None)
+                    if hurry and self._late():
+                        stop = "deadline"
+                        break
                 break
             self._step(prior)
             if last:
@@ -195,7 +202,8 @@ class LatticeEstimator:
         after = self._selector.update(self._epipolar, free, w, v)
         if self.config.model != "auto":
             after = self._selector.model = MotionModel(self.config.model)
-        self._fit.front = float(np.copysign(1.0, self._selector.agreement))
+        agreement = self._selector.agreement
+        self._fit.front = float(np.sign(agreement)) if abs(agreement) > _ON_ONE_SIDE else 0.0
         self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])

@@ -42,6 +42,8 @@ class ModelSelector:
         residual_share: the same over the flow itself.
         advantage: cost of the best rotation over that of the best full motion, over what
             the freedom of the latter brings by itself; logarithm.
+        turning: Wald's statistic of w, 1 for a camera that does not turn.
+        windows: how many have been weighed.
         model: the present decision.
     """
 

@@ -170,7 +170,7 @@ class EstimatesWriter:
 def lacking(file: h5py.File, columns: Mapping[str, Column]) -> str:
     """Say in words which data sets a file to go on with lacks; nothing if it has all."""
     names = [name for name in columns if name not in file]
-    return f"of an earlier version, without {', '.join(names)}" if names else ""
+    return f"without {', '.join(names)}, as of an earlier version" if names else ""
 
 
 @dataclass(frozen=True)

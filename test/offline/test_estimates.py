@@ -114,7 +114,7 @@ def test_older_file_is_read_and_not_continued(tmp_path):
     columns = read_estimates(path).columns
     assert columns["events"].tolist() == [100, 101, 102]
     assert ADDED.isdisjoint(columns)
-    words = r"estimates.h5: of an earlier version, without window_events, iterations, .*warm; start"
+    words = r"estimates.h5: without window_events, .*warm, as of an earlier version; start"
     with pytest.raises(InputError, match=words):
         EstimatesWriter(path, camera=CAMERA, source="", configuration={}, keep=1)
     assert len(read_estimates(path)) == 3  # left as it was

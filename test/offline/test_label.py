@@ -229,7 +229,7 @@ def test_chunks_of_an_earlier_version_are_not_resumed(monkeypatch, tmp_path, ecd
     with h5py.File(tmp_path / "out" / "a.parts" / "000000.h5", "r+") as file:
         del file["window_events"]
     assert call(monkeypatch, tmp_path / "out", path, "--resume") == 1
-    words = "000000.h5: of an earlier version, without window_events; leave --resume out"
+    words = "000000.h5: without window_events, as of an earlier version; leave --resume out"
     assert words in capsys.readouterr().err
 
 
