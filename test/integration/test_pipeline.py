@@ -158,7 +158,8 @@ def test_killed_worker_costs_one_window_of_a_running_replay(
     peer.spin_until(lambda: len(peer.twists) >= 4, "some twists", 60.0)
     os.kill(_worker(node), signal.SIGKILL)
     peer.spin_until(lambda: stamps(peer)[-1] == expected[-1].t, "the last twist", 60.0)
-    assert len(peer.twists) == len(expected) - 1  # the killed one
+    # The one that it was working on is lost, if there was one.
+    assert len(expected) - 1 <= len(peer.twists) <= len(expected)
     peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
     assert peer.status()["windows_dropped"] == "0"
 
