@@ -135,7 +135,7 @@ def _paired(cells: Sequence[Cell]) -> dict[str, dict[str, dict[str, list[Row]]]]
     by_window = {
         (cell.profile, cell.scene, cell.seed, row.index): row for cell in cells for row in cell.rows
     }
-    streamed = {cell.profile for cell in cells if len(cell.rows) > 1}
+    streamed = {FAST} | {cell.profile for cell in cells if len(cell.rows) > 1}
     pairs: dict[str, dict[str, dict[str, list[Row]]]] = {}
     for slow in dict.fromkeys(c.profile for c in cells if c.profile not in streamed):
         pairs[slow] = {scene: {} for scene in SCENES}

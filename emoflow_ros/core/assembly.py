@@ -127,6 +127,8 @@ def add_rows(
     nodes, times, further = by_further.shape
     for n in range(nodes):
         for q in range(times):
+            if weight[n, q] == 0.0:  # most are, of terms that hold for few nodes
+                continue
             i = 2 * (n * times + q)
             x, y = weight[n, q] * normal[n, q, 0], weight[n, q] * normal[n, q, 1]
             vector[i] -= x * r[n, q]

@@ -109,7 +109,7 @@ class LatticeEstimator:
                 fit.step_free()
                 self._iterations += 1
         fit.linearise(events, 1.0)
-        if self._is_confined():
+        if self._is_confined():  # refused below: what costs most is spared
             return "confined"
         free = fit.free_flow()
         v, w, cost = self._epipolar.search(free.flow, free.information)

@@ -72,8 +72,8 @@ class Outputs:
         scaling = self._scale.at(result.stamp)
         problems = {"scale": scaling.problem}
         if result.estimate.status is Status.OK:
-            # Pictures first: one that is larger than Fast DDS's shared memory (512 KiB) overwrites
-            # there what was sent just before and is not yet read.
+            # Pictures first: under load twists sent before a flow image, which is larger than Fast
+            # DDS's shared memory (512 KiB), came seconds late or never.
             self._publish_pictures(result)
             problems["frame"] = self._publish_twists(result, scaling.factor)
         for part, problem in problems.items():

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.sharpened import sharpened_events
+from emoflow_ros.core.sharpened import sharpened_events, warped_counts
 from emoflow_ros.core.windows import Window
 
 WIDTH, HEIGHT = 40, 20
@@ -60,3 +60,16 @@ def test_window_without_events_is_black() -> None:
     image = sharpened_events(Window(0, 80 * MS, Events.empty()), Steady(), 0, WIDTH, HEIGHT)
     assert image.shape == (HEIGHT, WIDTH)
     assert not image.any()
+
+
+def test_warp_brings_the_events_of_a_moving_point_together():
+    """A point that moves 8 px in 80 ms leaves one pixel after the warp."""
+    window = window_of_a_moving_point(5000)
+    after = warped_counts(window, Steady(), 40 * MS, WIDTH, HEIGHT)
+    assert after.shape == (HEIGHT, WIDTH)
+    assert after.sum() == len(window.events)
+    # In the middle the point is at (14, 13).
+    assert after[12:15, 13:16].sum() > 0.99 * after.sum()
+    assert after[13, 14] > 0.85 * after.sum()
+    still = Window(window.t_start, window.t_end, window.events[:1])
+    assert warped_counts(still, Steady(), 80 * MS, WIDTH, HEIGHT)[11, 18] == 1

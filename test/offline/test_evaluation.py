@@ -10,8 +10,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.sharpened import warped_counts
-from emoflow_ros.core.windows import Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import evaluate
@@ -291,27 +290,3 @@ def test_numbers_for_people():
     assert format_number(2.0, 0) == "2"
     assert format_number(-0.001) == "0.00"
     assert format_count(1234567) == "1\N{NARROW NO-BREAK SPACE}234\N{NARROW NO-BREAK SPACE}567"
-
-
-class ConstantFlow:
-    """(20, -10) px/s everywhere."""
-
-    def tracks(self, points, times):
-        return np.stack([points + np.array([20.0, -10.0]) * (t - times[0]) / 1e9 for t in times])
-
-
-def test_warp_brings_the_events_of_a_moving_point_together(folder):
-    """A point that moves 20 px in 1 s leaves one pixel after the warp."""
-    with open_recording(folder) as recording:
-        events = next(iter(recording.event_chunks()))[:5000]
-    seconds = (events.t - 2_000_000_000) / 1e9
-    events.x[:] = np.rint(100 + 20 * seconds)
-    events.y[:] = np.rint(90 - 10 * seconds)
-    window = WindowSlicer(WindowPolicy(duration_ms=499.0)).push(events)[0]
-    after = warped_counts(window, ConstantFlow(), 2_249_500_000, 240, 180)
-    assert after.shape == (180, 240)
-    assert after.sum() == len(window.events)
-    # At the middle, 249.5 ms, the point is at (104.99, 87.5).
-    assert after[87:89, 105].sum() > 0.85 * after.sum()
-    still = Window(window.t_start, window.t_end, window.events[:1])
-    assert warped_counts(still, ConstantFlow(), 2_499_000_000, 240, 180)[85, 110] == 1

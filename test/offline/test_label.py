@@ -290,8 +290,8 @@ def test_bad_options(monkeypatch, tmp_path, ecd, capsys, options, words):
 
 def test_equal_names(monkeypatch, tmp_path, ecd, capsys):
     (tmp_path / "x").mkdir()
-    inputs = ecd("a"), write_ecd(tmp_path / "x" / "a")
-    assert_line(monkeypatch, capsys, (tmp_path / "out", *inputs), "labels of 2 recordings")
+    arguments = (tmp_path / "out", ecd("a"), write_ecd(tmp_path / "x" / "a"))
+    assert_line(monkeypatch, capsys, arguments, "labels of 2 recordings")
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "long"])
