@@ -27,12 +27,12 @@ setup(
     extras_require={"test": ["pytest"], "ray": ["ray"]},
     entry_points={
         "console_scripts": [
-            f"estimator = {PACKAGE}.node.estimator:main",
-            f"replay = {PACKAGE}.offline.replay:main",
-            f"evaluate = {PACKAGE}.offline.evaluate:main",
-            f"simulate = {PACKAGE}.simulation.simulate:main",
-            f"info = {PACKAGE}.offline.info:main",
-            f"label = {PACKAGE}.offline.label:main",
+            f"estimator = {PACKAGE}.node.executable:main",
+            f"replay = {PACKAGE}.executables:replay",
+            f"evaluate = {PACKAGE}.executables:evaluate",
+            f"simulate = {PACKAGE}.executables:simulate",
+            f"info = {PACKAGE}.executables:info",
+            f"label = {PACKAGE}.executables:label",
         ],
     },
 )

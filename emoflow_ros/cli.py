@@ -2,8 +2,11 @@
 
 import os
 import select
+import signal
 import sys
+import time
 from collections.abc import Callable
+from types import FrameType
 from typing import TextIO
 
 from emoflow_ros.errors import InputError
@@ -11,6 +14,9 @@ from emoflow_ros.errors import InputError
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141  # as a shell reports SIGPIPE
+
+# ros2 launch passes on a Ctrl-C that the terminal has sent to everybody already.
+_SAME_CTRL_C_S = 1.0
 
 
 def run(command: Callable[[], int | None]) -> int:
@@ -22,6 +28,7 @@ def run(command: Callable[[], int | None]) -> int:
         `| head`. Anything else is a bug and keeps its traceback.
     """
     try:
+        _take_ctrl_c_once()
         return _run_and_flush(command)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -36,6 +43,21 @@ def run(command: Callable[[], int | None]) -> int:
         for stream in unread:  # what is buffered would raise again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return EXIT_NO_READER
+
+
+def _take_ctrl_c_once() -> None:
+    """Let a second SIGINT soon after the first not interrupt what the first one started."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return  # ignored, as in background jobs, or somebody else's
+    last = -_SAME_CTRL_C_S
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        before, last = last, time.monotonic()
+        if last - before >= _SAME_CTRL_C_S:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
 
 
 def _run_and_flush(command: Callable[[], int | None]) -> int:

@@ -13,9 +13,11 @@ LOCKS = ("requirements", "requirements-ros", "requirements-messages")
 LOCK_OF = {name: name for name in LOCKS} | {"requirements-test": "requirements"}
 
 
-def entry_points() -> dict[str, str]:
+def entry_points() -> dict[str, tuple[str, str]]:
+    """Module and function of each executable."""
     text = (ROOT / "setup.py").read_text()
-    return dict(re.findall(r'f"(\w+) = \{PACKAGE\}\.([\w.]+):main"', text))
+    found = re.findall(r'f"(\w+) = \{PACKAGE\}\.([\w.]+):(\w+)"', text)
+    return {name: (module, function) for name, module, function in found}
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -51,8 +53,9 @@ def test_locks_of_one_environment_agree() -> None:
 @pytest.mark.parametrize("executable", sorted(entry_points()))
 def test_executable_explains_itself(executable: str) -> None:
     assert set(entry_points()) >= {"estimator", "replay", "evaluate", "simulate"}
-    module = f"emoflow_ros.{entry_points()[executable]}"
-    code = f"import sys; from {module} import main; sys.argv = ['x', '--help']; main()"
+    module, function = entry_points()[executable]
+    code = f"import sys; from emoflow_ros.{module} import {function} as main; "
+    code += "sys.argv = ['x', '--help']; main()"
     shown = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
     )

@@ -1,13 +1,15 @@
-"""The executable `estimator`: runs the node until SIGINT or SIGTERM."""
+"""Runs the node until its end is asked for: the executable `estimator` after its imports."""
 
 import argparse
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import ok, try_shutdown
 
 from emoflow_ros.cli import run
+from emoflow_ros.node.ending import Ending
 from emoflow_ros.node.estimator_node import EstimatorNode
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.node.supervisor import FACTORY
@@ -35,26 +37,40 @@ Topics and parameters are given as ROS arguments:
 """
 
 
-def main(factory: str = FACTORY) -> int:
-    """Run the node until SIGINT or SIGTERM."""
-    return run(lambda: _main(factory))
+def run_node(ending: Ending, factory: str | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM.
+
+    Args:
+        ending: where the two arrive.
+        factory: `module:function` that makes the estimator in the worker, if not the usual one.
+
+    Returns:
+        The exit code.
+    """
+    return run(lambda: _main(ending, factory or FACTORY))
 
 
-def _main(factory: str) -> int:
-    argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Describe the command line, whose arguments are all for ROS."""
+    return argparse.ArgumentParser(
         prog="estimator",
         description="ROS 2 node: event arrays in, egomotion and optical flow out.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    ).parse_args(own_arguments())
+    )
+
+
+def _main(ending: Ending, factory: str) -> int:
+    parser().parse_args(own_arguments())
+    ending.imported()
     node = None
+    end = Future()
     try:
         with refused_in_one_line():
-            rclpy.init()
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = EstimatorNode(factory)
-        _spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        ending.in_order(lambda: end.set_result(None))
+        _spin(node, end)
     finally:
         if node is not None:
             node.destroy_node()
@@ -62,10 +78,10 @@ def _main(factory: str) -> int:
     return 0
 
 
-def _spin(node: EstimatorNode) -> None:
+def _spin(node: EstimatorNode, end: Future) -> None:
     """Spin until the end. rclpy raises on an impossible transition; that shall not be the end."""
-    while ok():
+    while ok() and not end.done():
         try:
-            rclpy.spin(node)
+            rclpy.spin_until_future_complete(node, end)
         except rclpy_implementation.RCLError as error:
             node.get_logger().error(f"a request is refused: {error}")

@@ -221,7 +221,7 @@ class Processes:
     ) -> subprocess.Popen[bytes]:
         """Start the node as its console script does; `parameters` as in `name:=value`."""
         code = (
-            f"import sys; from emoflow_ros.node.estimator import main; sys.exit(main('{factory}'))"
+            f"import sys; from emoflow_ros.node.executable import main; sys.exit(main('{factory}'))"
         )
         given = [part for parameter in parameters for part in ("-p", parameter)]
         return self.start(sys.executable, "-c", code, "--ros-args", *given, *arguments)

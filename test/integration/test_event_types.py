@@ -227,7 +227,7 @@ def test_events_on_two_topics_are_listed(processes: Processes) -> None:
 
 def test_type_that_is_not_installed_names_its_package(processes: Processes) -> None:
     without = "import sys; sys.modules['prophesee_event_msgs'] = None; "
-    main = "from emoflow_ros.node.estimator import main; main('fake_estimators:Recorder')"
+    main = "from emoflow_ros.node.executable import main; main('fake_estimators:Recorder')"
     with Peer("/events", prophesee_event_msgs.msg.EventArray) as peer:
         node = processes.start(sys.executable, "-c", without + main)
         peer.hear()

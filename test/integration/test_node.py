@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,30 @@ def test_signal_ends_the_node_mid_optimisation(
         lambda: not any(Path(f"/proc/{pid}").exists() for pid in descendants), "no process is left"
     )
     assert "Traceback" not in processes.output(node)
+
+
+def takes_signals(pid: int) -> bool:
+    """Whether the process blocks SIGINT, which is the first thing it does."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    blocked = int(status.partition("SigBlk:")[2].split()[0], 16)
+    return bool(blocked >> (signal.SIGINT - 1) & 1)
+
+
+@pytest.mark.parametrize("stage", [takes_signals, children], ids=["imports", "fork_server"])
+def test_two_interrupts_while_starting_end_the_node_in_one_line(
+    processes: Processes, stage: Callable[[int], object]
+) -> None:
+    node = processes.start_node()
+    wait_for(lambda: stage(node.pid), "the stage")
+    descendants = _descendants(node.pid)
+    for _ in range(2):  # of the terminal and of ros2 launch
+        os.killpg(node.pid, signal.SIGINT)
+    assert node.wait(WAIT_S) == 0
+    said = [line for line in processes.output(node).splitlines() if "[INFO]" not in line]
+    assert said == ["SIGINT: the node ends"]
+    wait_for(
+        lambda: not any(Path(f"/proc/{pid}").exists() for pid in descendants), "no process is left"
+    )
 
 
 def test_malformed_messages_among_good_ones(peer: Peer, recorder: SharedNode) -> None:
