@@ -18,6 +18,8 @@ DISTORTION_MODELS = {
     "equidistant": (4,),
 }
 
+_BROWN_CONRADY = ("plumb_bob", "rational_polynomial")
+
 # The largest event sensors have 1 to 2 million; maps of more would only fill the memory.
 MAX_PIXELS = 2**24
 
@@ -97,10 +99,11 @@ class Camera:
         eight coefficients is OpenCV's rational model under its old name.
         """
         coefficients = tuple(float(c) for c in d)
-        if model == "" or (model == "plumb_bob" and not any(coefficients)):
-            model, coefficients = "none", ()
         if model == "plumb_bob" and len(coefficients) == 8:
             model = "rational_polynomial"
+        zeros = len(coefficients) in DISTORTION_MODELS.get(model, ()) and not any(coefficients)
+        if model == "" or (model in _BROWN_CONRADY and zeros):
+            model, coefficients = "none", ()
         if model == "fisheye":
             model = "equidistant"
         fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))

@@ -6,8 +6,9 @@ documentation.
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any
 
 from emoflow_ros.errors import InputError
@@ -70,8 +71,7 @@ def replace_options[T](tree: T, values: Mapping[str, Any], prefix: str = "") -> 
     for name, value in values.items():
         head, _, rest = name.partition(".")
         if head not in fields or dataclasses.is_dataclass(getattr(tree, head)) != bool(rest):
-            known = ", ".join(o.name for o in options_of(tree, prefix))
-            raise InputError(prefix + name, "no such option", f"known here: {known}")
+            raise unknown_option(prefix + name, (o.name for o in options_of(tree, prefix)))
         if rest:
             nested.setdefault(head, {})[rest] = value
         else:
@@ -80,6 +80,16 @@ def replace_options[T](tree: T, values: Mapping[str, Any], prefix: str = "") -> 
     for head, inner in nested.items():
         changes[head] = replace_options(getattr(tree, head), inner, f"{prefix}{head}.")
     return dataclasses.replace(tree, **changes)  # type: ignore[type-var]
+
+
+def unknown_option(name: str, known: Iterable[str]) -> InputError:
+    """Refuse a name: with the nearest of the known ones, and those of its group or all."""
+    names = list(known)
+    nearest = get_close_matches(name, names, n=1)
+    group = f"{name.rpartition('.')[0]}."
+    listed = [n for n in names if n.startswith(group)] or names
+    wrong = f"no such option, the nearest is {nearest[0]}" if nearest else "no such option"
+    return InputError(name, wrong, f"known here: {', '.join(listed)}")
 
 
 def _checked(name: str, value: Any, default: Any, meta: Mapping[str, Any]) -> Any:

@@ -4,9 +4,11 @@ from queue import SimpleQueue
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.calibration import load_calibration
@@ -80,6 +82,10 @@ class EstimatorNode(LifecycleNode):
                 raise self.refusal
             self.is_starting = False
             self.trigger_activate()
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters, as rclpy does; the node's dump can be loaded as it is."""
+        return self._table.set_atomically(parameter_list, super().set_parameters_atomically)
 
     @property
     def _settings(self) -> Settings:

@@ -20,8 +20,15 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.options import OptionInfo, option, options_of, replace_options
+from emoflow_ros.core.options import (
+    OptionInfo,
+    option,
+    options_of,
+    replace_options,
+    unknown_option,
+)
 from emoflow_ros.errors import InputError
+from msg_adapters import supported_types
 
 _INT64_MAX = 2**63 - 1
 _ONLY_AT_START = ("autostart", "profile", "method")
@@ -53,6 +60,14 @@ class InputOptions:
         minimum=0.1,
         maximum=3600.0,
     )
+
+    def __post_init__(self) -> None:
+        if self.type and self.type not in supported_types():
+            raise InputError(
+                "input.type",
+                f"messages of type '{self.type}' hold no events",
+                f"use one of {', '.join(supported_types())}",
+            )
 
 
 @dataclass(frozen=True)
@@ -196,7 +211,10 @@ class Settings:
         Raises:
             InputError: an unknown name, or a value of the wrong type or range.
         """
-        own = {o.name for o in options_of(self.node)}
+        own = [o.name for o in options_of(self.node)]
+        config = [o.name for o in options_of(self.config)]
+        if unknown := [n for n in values if n not in own and n not in config]:
+            raise unknown_option(unknown[0], [*own, *config])
         return Settings(
             replace_options(self.node, {n: v for n, v in values.items() if n in own}),
             replace_options(self.config, {n: v for n, v in values.items() if n not in own}),
@@ -234,7 +252,7 @@ class NodeParameters:
     Args:
         node: to declare on.
         is_configured: whether only dynamic parameters may change now.
-        on_change: called after a change, with the new settings.
+        on_change: called after a change was taken, with the new settings.
 
     Raises:
         InputError: the node was started with an unknown name or a bad value.
@@ -261,23 +279,59 @@ class NodeParameters:
         for info in table(self.settings):
             node.declare_parameter(info.name, info.value, _descriptor(info), ignore_override=True)
         self._names = {info.name for info in table(self.settings)}
-        node.add_on_set_parameters_callback(self._set)
+        self._node = node
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._take)
 
-    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        values = {p.name: p.value for p in parameters if p.name in self._names}
-        if not values:
-            return SetParametersResult(successful=True)
-        fixed = [name for name in values if changes(name) is not Change.ANY_TIME]
-        if fixed and self._is_configured():
+    def set_atomically(
+        self,
+        parameters: list[Parameter],
+        set_all: Callable[[list[Parameter]], SetParametersResult],
+    ) -> SetParametersResult:
+        """Set parameters of the node, also of a dump that holds what cannot change.
+
+        Args:
+            parameters: to set, all or none.
+            set_all: what rclpy does. It would refuse a read-only parameter that has its value
+                already, and raise on an unknown name.
+        """
+        unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
+        if unknown:
+            refusal = unknown_option(unknown[0], sorted(self._names))
+            return SetParametersResult(successful=False, reason=str(refusal))
+        wanted = [p for p in parameters if not (self._is_fixed(p.name) and self._has(p))]
+        return set_all(wanted) if wanted else SetParametersResult(successful=True)
+
+    def _is_fixed(self, name: str) -> bool:
+        """Whether a parameter cannot change now."""
+        if name not in self._names:
+            return bool(self._node.describe_parameter(name).read_only)
+        unconfigured = Change.UNCONFIGURED if not self._is_configured() else None
+        return changes(name) not in (Change.ANY_TIME, unconfigured)
+
+    def _has(self, parameter: Parameter) -> bool:
+        now = self._node.get_parameter(parameter.name)
+        return (now.type_, now.value) == (parameter.type_, parameter.value)
+
+    def _own(self, parameters: list[Parameter]) -> dict[str, Any]:
+        return {p.name: p.value for p in parameters if p.name in self._names}
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        values = self._own(parameters)
+        fixed = [name for name in values if self._is_fixed(name)]
+        if fixed:
             reason = f"{fixed[0]}: only changes while the node is unconfigured"
             return SetParametersResult(successful=False, reason=reason)
         try:
-            settings = self.settings.changed(values)
+            self.settings.changed(values)
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        self.settings = settings
-        self._on_change(settings)
         return SetParametersResult(successful=True)
+
+    def _take(self, parameters: list[Parameter]) -> None:
+        if values := self._own(parameters):
+            self.settings = self.settings.changed(values)
+            self._on_change(self.settings)
 
 
 def _descriptor(info: OptionInfo) -> ParameterDescriptor:

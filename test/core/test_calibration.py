@@ -44,6 +44,11 @@ def test_ecd_text(tmp_path):
         ("c.yaml", YAML.replace("226.0", "-1"), "focal lengths fx=-1.0"),
         ("c.yaml", YAML.replace("equidistant", "foo"), "unknown distortion model 'foo'"),
         ("c.yaml", YAML.replace("-0.05, ", ""), "equidistant with 3 coefficients"),
+        (
+            "c.yaml",
+            YAML.replace("equidistant", "plumb_bob").replace("-0.05, 0.01, -0.06, 0.02", "0, 0, 0"),
+            "plumb_bob with 3 coefficients; give 0 or 4 or 5",
+        ),
         ("calib.txt", "1 2 3", "holds 3 numbers"),
         ("calib.txt", "1 2 3 4 5 6 7 8 x", "not numbers"),
         ("calib.txt", "0 2 3 4 5 6 7 8 9", "focal lengths fx=0.0"),

@@ -180,6 +180,7 @@ def test_what_a_camera_refuses(changes, message):
         ("", (0.0, 0.0, 0.0, 0.0, 0.0), "none", ()),
         ("plumb_bob", (0.0,) * 5, "none", ()),
         ("plumb_bob", (), "none", ()),
+        ("plumb_bob", (0.0,) * 8, "none", ()),
         ("plumb_bob", (0.1, 0.2, 0.3, 0.4, 0.5), "plumb_bob", (0.1, 0.2, 0.3, 0.4, 0.5)),
         ("plumb_bob", (0.1,) * 8, "rational_polynomial", (0.1,) * 8),
         ("rational_polynomial", (0.1,) * 8, "rational_polynomial", (0.1,) * 8),

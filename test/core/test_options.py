@@ -67,8 +67,13 @@ def test_ranges_include_their_ends(value):
         ("inner.verbose", 1, "1 is not of type bool"),
         ("inner.mode", 3, "3 is not of type str"),
         ("inner.mode", "medium", "unknown value 'medium'; use one of slow, fast"),
-        ("inner.wait", 1, r"inner\.wait: no such option; known here: inner\.weight, inner\.count"),
-        ("inner", 1, "inner: no such option; known here: name, inner.weight"),
+        (
+            "inner.wait",
+            1,
+            r"^inner\.wait: no such option, the nearest is inner\.weight; "
+            r"known here: inner\.weight, inner\.count, inner\.mode, inner\.verbose$",
+        ),
+        ("inner", 1, "inner: no such option, .*; known here: name, inner.weight"),
         ("name.first", "a", "name.first: no such option"),
         ("inner.", 1, "no such option"),
         ("", 1, "no such option"),

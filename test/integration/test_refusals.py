@@ -26,7 +26,14 @@ def run_windows(peer: Peer, first_ms: int, last_ms: int, camera: Camera = CAMERA
             ["-p", "window.duration_ms:=-5.0"],
             "error: window.duration_ms: -5.0 is out of range; use 1 to 10000",
         ),
-        (["-p", "window.durations:=5.0"], "error: window.durations: no such option; known here"),
+        (
+            ["-p", "window.durations_ms:=5.0"],
+            "error: window.durations_ms: no such option, the nearest is window.duration_ms; known",
+        ),
+        (
+            ["-p", "input.type:=dvs_msgs/EventArray"],
+            "error: input.type: messages of type 'dvs_msgs/EventArray' hold no events; use one of",
+        ),
         (
             ["-p", "camera.calibration_file:=/nowhere.yaml"],
             "error: /nowhere.yaml: no such file or directory; give a calibration file",

@@ -5,6 +5,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
@@ -171,6 +172,93 @@ def test_unknown_parameter_cannot_be_set(make_node: Callable[..., Any]) -> None:
 )
 def test_what_the_node_connects_to_is_not_dynamic(name: str, when: Change) -> None:
     assert changes(name) is when
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest", "known"),
+    [
+        ("camera.calibration", "camera.calibration_file", "camera.calibration_file, camera.frame"),
+        ("input.queue_window", "input.queue_windows", "input.type, input.timestamps"),
+        ("output.twistrate", "output.twist_rate", "output.timeout_s, output.diagnostics_s"),
+        ("speed", "scale.speed", "autostart, on_missing_device, input.type"),
+    ],
+)
+def test_unknown_name_is_refused_with_the_nearest_and_those_beside_it(
+    make_node: Callable[..., Any], name: str, nearest: str, known: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        declare(make_node(**{name.replace(".", "__"): 1}))
+    line = str(caught.value)
+    expected = f"{name}: no such option, the nearest is {nearest}; known here: {known}"
+    assert line.startswith(expected)
+    if "." in name:
+        assert "window." not in line
+
+
+class Atomic:
+    """A node whose parameters are set as EstimatorNode does."""
+
+    def __init__(self, node: Any, configured: bool) -> None:
+        self.node = node
+        self.parameters, self.changes = declare(node, configured)
+
+    def set(self, *parameters: Parameter) -> Any:
+        return self.parameters.set_atomically(list(parameters), self.node.set_parameters_atomically)
+
+    def dump(self) -> list[Parameter]:
+        names = self.node.list_parameters([], 0).names
+        return [self.node.get_parameter(name) for name in names]
+
+
+@pytest.mark.parametrize("configured", [True, False])
+def test_own_dump_can_be_loaded(make_node: Callable[..., Any], configured: bool) -> None:
+    """Also what cannot change, and what rclpy declares itself."""
+    node = Atomic(make_node(window__duration_ms=50.0), configured)
+    node.node.declare_parameter("qos_overrides./a", 1, ParameterDescriptor(read_only=True))
+    dump = node.dump()
+    assert {"profile", "use_sim_time", "qos_overrides./a"} <= {p.name for p in dump}
+    assert [p.name for p in dump if not node.set(p).successful] == []
+    assert node.set(*dump).successful
+    assert node.parameters.settings.config.window.duration_ms == 50.0
+
+
+def test_dump_with_a_change_of_what_is_fixed_is_refused(make_node: Callable[..., Any]) -> None:
+    node = Atomic(make_node(), configured=True)
+    for name, value in (("profile", "rigid"), ("input.queue_windows", 3)):
+        changed = [p if p.name != name else Parameter(name, value=value) for p in node.dump()]
+        assert not node.set(*changed).successful
+        assert node.node.get_parameter(name).value != value
+    assert node.changes == []
+
+
+def test_unknown_name_while_running_is_refused_with_the_nearest(
+    make_node: Callable[..., Any],
+) -> None:
+    node = Atomic(make_node(), configured=True)
+    answer = node.set(Parameter("scale.sped", value=1.0))
+    assert not answer.successful
+    assert answer.reason.startswith("scale.sped: no such option, the nearest is scale.speed; known")
+
+
+def test_change_that_somebody_else_refuses_has_no_effect(make_node: Callable[..., Any]) -> None:
+    node = make_node()
+    parameters, changes = declare(node)
+    before = parameters.settings
+    refusal = SetParametersResult(successful=False, reason="no")
+    node.add_on_set_parameters_callback(lambda _: refusal)
+    node._on_set_parameters_callbacks.reverse()  # asked last
+    [answer] = node.set_parameters([Parameter("window.duration_ms", value=45.0)])
+    assert not answer.successful
+    assert (parameters.settings, changes) == (before, [])
+
+
+@pytest.mark.parametrize("ros_type", ["dvs_msgs/EventArray", "sensor_msgs/msg/Image", "events"])
+def test_type_that_holds_no_events_is_refused_at_the_start(
+    make_node: Callable[..., Any], ros_type: str
+) -> None:
+    match = rf"^input\.type: messages of type '{ros_type}' hold no events; use one of dvs_msgs/msg"
+    with pytest.raises(InputError, match=match):
+        declare(make_node(input__type=ros_type))
 
 
 def test_method_brings_its_own_options(make_node: Callable[..., Any]) -> None:
