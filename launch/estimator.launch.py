@@ -45,13 +45,19 @@ def _start(context: Any) -> list[Any]:
     from launch.substitutions import LaunchConfiguration
     from launch_ros.actions import Node
 
+    from emoflow_ros.node.launch_arguments import flag, require_package
+
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    parameters = _parameters(value)
+    rviz = flag("rviz", value["rviz"])
+    if rviz:  # found missing later, the estimator would be left alone
+        require_package("rviz", "rviz2")
     nodes = [
         Node(
             package="emoflow_ros",
             executable="estimator",
             namespace=value["namespace"],
-            parameters=_parameters(value),
+            parameters=parameters,
             remappings=[
                 (name, value[name])
                 for name in ("events", "camera_info")
@@ -60,7 +66,7 @@ def _start(context: Any) -> list[Any]:
             output="screen",
         )
     ]
-    if value["rviz"].lower() == "true":
+    if rviz:
         frame = ["-f", value["frame"]] if value["frame"] else []
         nodes.append(
             Node(
@@ -68,7 +74,7 @@ def _start(context: Any) -> list[Any]:
                 executable="rviz2",
                 namespace=value["namespace"],
                 arguments=["-d", str(_CONFIG / "layouts" / "emoflow.rviz"), *frame],
-                parameters=[{"use_sim_time": value["use_sim_time"].lower() == "true"}],
+                parameters=[{"use_sim_time": parameters[0]["use_sim_time"]}],
                 remappings=[(f"/{topic}", topic) for topic in VIEWED],
             )
         )
@@ -77,17 +83,18 @@ def _start(context: Any) -> list[Any]:
 
 def _parameters(value: dict[str, str]) -> list[Any]:
     """List the sources of parameters: later ones count before earlier ones."""
+    from emoflow_ros.node.launch_arguments import flag, number, parameter_file
+
     arguments: dict[str, Any] = {
-        "use_sim_time": value["use_sim_time"].lower() == "true",
+        "use_sim_time": flag("use_sim_time", value["use_sim_time"]),
         "profile": value["profile"],
-        "output.twist_rate": float(value["twist_rate"]),
+        "output.twist_rate": number("twist_rate", value["twist_rate"]),
     }
     if value["speed"]:
-        arguments |= {"scale.source": "parameter", "scale.speed": float(value["speed"])}
+        arguments |= {"scale.source": "parameter", "scale.speed": number("speed", value["speed"])}
     sources: list[Any] = [arguments]
     if value["params_file"]:
-        sensor = _CONFIG / "sensors" / f"{value['params_file']}.yaml"
-        sources.append(str(sensor) if sensor.is_file() else value["params_file"])
+        sources.append(parameter_file(value["params_file"], _CONFIG / "sensors"))
     camera = {
         "camera.calibration_file": value["calibration_file"],
         "camera.frame_id": value["frame"],

@@ -28,7 +28,17 @@ def generate_launch_description() -> Any:
     ]
     estimator = Path(__file__).with_name("estimator.launch.py")
     include = IncludeLaunchDescription(PythonLaunchDescriptionSource(str(estimator)))
-    return LaunchDescription([*declared, include, OpaqueFunction(function=_start)])
+    check, start = OpaqueFunction(function=_check), OpaqueFunction(function=_start)
+    return LaunchDescription([*declared, check, include, start])
+
+
+def _check(context: Any) -> None:
+    """Refuse a bag that is not there before the estimator is started."""
+    from launch.substitutions import LaunchConfiguration
+
+    from emoflow_ros.node.launch_arguments import require_path
+
+    require_path("bag", LaunchConfiguration("bag").perform(context))
 
 
 def _start(context: Any) -> list[Any]:
@@ -36,15 +46,18 @@ def _start(context: Any) -> list[Any]:
     from launch.substitutions import LaunchConfiguration
     from launch_ros.actions import Node
 
+    from emoflow_ros.node.launch_arguments import flag
+
     names = (*ARGUMENTS, "use_sim_time", "namespace")
     value = {name: LaunchConfiguration(name).perform(context) for name in names}
-    clock = ["--clock"] if value["use_sim_time"].lower() == "true" else []
+    clock = ["--clock"] if flag("use_sim_time", value["use_sim_time"]) else []
     actions = [
         Node(
             package="emoflow_ros",
             executable="replay",
             arguments=[value["bag"], "--rate", value["rate"], "--wait", value["wait"], *clock],
             output="screen",
+            on_exit=_end_all_where_it_failed,
         )
     ]
     if value["record"]:
@@ -53,3 +66,10 @@ def _start(context: Any) -> list[Any]:
         command = ["ros2", "bag", "record", "--output", value["record"], *topics]
         actions.append(ExecuteProcess(cmd=command, output="screen"))
     return actions
+
+
+def _end_all_where_it_failed(event: Any, context: Any) -> list[Any]:
+    """Leave no estimator that waits for a bag which cannot be replayed."""
+    from launch.actions import Shutdown
+
+    return [Shutdown(reason=f"replay ended with {event.returncode}")] if event.returncode else []

@@ -13,6 +13,7 @@ import yaml
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from emoflow_ros.core.config import load_config
+from emoflow_ros.errors import InputError
 from emoflow_ros.node.parameters import NodeOptions, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,10 +37,11 @@ def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], dict[str, Any]]
     stand_ins = {
         "launch": {"LaunchDescription": list},
         "launch.actions": {
-            "DeclareLaunchArgument": SimpleNamespace,
+            "DeclareLaunchArgument": lambda name, **kwargs: name,
             "ExecuteProcess": SimpleNamespace,
             "IncludeLaunchDescription": lambda source: source,
             "OpaqueFunction": lambda function: function,
+            "Shutdown": SimpleNamespace,
         },
         "launch.launch_description_sources": {"PythonLaunchDescriptionSource": Path},
         "launch.substitutions": {"LaunchConfiguration": Argument},
@@ -111,10 +113,14 @@ def test_simulated_time_and_profile(start: Start) -> None:
     assert (given["use_sim_time"], given["profile"]) == (True, "rigid")
 
 
-def test_camera_counts_before_the_parameter_file_and_that_before_the_rest(start: Start) -> None:
-    [node] = start(params_file="my.yaml", calibration_file="c.yaml", frame="cam")
+def test_camera_counts_before_the_parameter_file_and_that_before_the_rest(
+    start: Start, tmp_path: Path
+) -> None:
+    own = tmp_path / "my.yaml"
+    own.touch()
+    [node] = start(params_file=str(own), calibration_file="c.yaml", frame="cam")
     assert node.parameters[1:] == [
-        "my.yaml",
+        str(own),
         {"camera.calibration_file": "c.yaml", "camera.frame_id": "cam"},
     ]
 
@@ -132,7 +138,57 @@ def test_two_instances_differ_by_their_namespace(start: Start) -> None:
     assert left.executable == right.executable == "estimator"
 
 
-def test_rviz_is_started_with_the_layout_when_it_is_wanted(start: Start) -> None:
+@pytest.mark.parametrize(
+    ("argument", "text", "line"),
+    [
+        ("rviz", "true", "the package rviz2 is not installed; install ros-jazzy-rviz2 or leave"),
+        ("rviz", "1", "'1' is neither true nor false; use one of the two"),
+        ("use_sim_time", "yes", "'yes' is neither true nor false; use one of the two"),
+        ("twist_rate", "abc", "'abc' is not a number; give one, as in 10.0"),
+        ("speed", "fast", "'fast' is not a number; give one, as in 10.0"),
+        ("speed", "nan", "'nan' is not a number; give one, as in 10.0"),
+        (
+            "params_file",
+            "mvsek",
+            "no file 'mvsek'; give a path or one of davis240, dsec, evk4, mvsec",
+        ),
+    ],
+)
+def test_bad_argument_starts_nothing(
+    start: Start, monkeypatch: pytest.MonkeyPatch, argument: str, text: str, line: str
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/nowhere")
+    with pytest.raises(InputError) as caught:
+        start(**{argument: text})
+    assert str(caught.value).startswith(f"{argument}: {line}")
+
+
+def test_bag_that_is_not_there_is_refused_before_the_estimator_starts(
+    launched: Callable[[str], dict[str, Any]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    namespace = launched("replay.launch.py")
+    description = namespace["generate_launch_description"]()
+    include = ROOT / "launch" / "estimator.launch.py"
+    [check] = [p for p in description[: description.index(include)] if callable(p)]
+    with pytest.raises(InputError, match=r"^bag: no file or folder 'no\.bag'; check the path$"):
+        check({"bag": "no.bag"})
+    check({"bag": str(tmp_path)})
+
+
+def test_replay_that_fails_ends_the_estimator(replay: Start) -> None:
+    [node] = replay()
+    [end] = node.on_exit(SimpleNamespace(returncode=2), None)
+    assert end.reason == "replay ended with 2"
+    assert node.on_exit(SimpleNamespace(returncode=0), None) == []
+
+
+def test_rviz_is_started_with_the_layout_when_it_is_wanted(
+    start: Start, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    (index / "rviz2").touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert len(start()) == 1
     _, rviz = start(rviz="true", frame="cam", namespace="left", use_sim_time="true")
     assert (rviz.package, rviz.executable, rviz.namespace) == ("rviz2", "rviz2", "left")
