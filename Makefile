@@ -37,13 +37,14 @@ bench: messages  ## all of benchmarks/
 		python "$$benchmark"
 	done
 
-fuzz: setup  ## decoders on a million inputs each by hypothesis and by atheris; takes hours
+fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris, and a thousand damaged files of each format; takes hours
 	@$(ENV)
 	cache=$$(mktemp -d)
 	trap 'rm -rf "$$cache"' EXIT
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR="$$cache" python -m pytest --timeout 0 \
 		--hypothesis-profile fuzz test/msg_adapters/test_properties.py
 	python test/msg_adapters/fuzz_decoders.py
+	python test/offline/fuzz_readers.py --runs 1000
 
 soak: messages  ## the tests that take minutes
 	@$(ENV)

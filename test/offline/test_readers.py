@@ -94,7 +94,7 @@ def test_unknown_format(tmp_path):
     assert_refused(path, "known format", "ECD folder")
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])  # of one chunk: nothing is whole
 @pytest.mark.parametrize("storage", ["ros1", "sqlite3", "mcap"])
 def test_truncated_bag(tmp_path, storage, share, make_events, write_event_bag):
     path = write_event_bag(
@@ -107,14 +107,6 @@ def test_truncated_bag(tmp_path, storage, share, make_events, write_event_bag):
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
     assert_refused(path, "damaged bag", "copy it again")
-
-
-def test_bag_that_was_never_closed(tmp_path, make_events, write_event_bag):
-    path = write_event_bag(tmp_path / "a.bag", [make_events(10)])
-    data = path.read_bytes()
-    at = data.index(b"index_pos=") + len(b"index_pos=")
-    path.write_bytes(data[:at] + bytes(8) + data[at + 8 :])
-    assert_refused(path, "not indexed", "rosbag reindex")
 
 
 def test_database_without_tables(tmp_path):

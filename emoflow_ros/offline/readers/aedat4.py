@@ -48,7 +48,7 @@ class Aedat4Recording(FileRecording):
                 packet = next(packets)
             except StopIteration:
                 return
-            except RuntimeError as error:
+            except BaseException as error:
                 self._refuse(error)
             if packet["stream_id"] == self._stream:
                 yield _to_events(packet["events"])
@@ -62,10 +62,13 @@ class Aedat4Recording(FileRecording):
             ) from None
         try:
             return aedat.Decoder(str(self.path))
-        except RuntimeError as error:
+        except BaseException as error:
             self._refuse(error)
 
-    def _refuse(self, error: RuntimeError) -> Any:
+    def _refuse(self, error: BaseException) -> Any:
+        """Refuse a damaged file; a panic of the package's Rust code is no Exception."""
+        if not isinstance(error, RuntimeError) and type(error).__name__ != "PanicException":
+            raise error
         raise InputError(self.path, f"damaged AEDAT4 file ({error})", "copy it again") from None
 
 

@@ -1,9 +1,11 @@
 """Reader of bags: ROS 1 files and rosbag2 (sqlite3, mcap), without ROS."""
 
 import struct
+import sys
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
@@ -19,6 +21,7 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers.bag_entry import log_time_before
 from emoflow_ros.offline.readers.base import StreamCheck, trimmed
+from emoflow_ros.offline.readers.unfinished import finished
 from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
 _STORAGE_SUFFIXES = (".db3", ".mcap")
@@ -157,22 +160,36 @@ def open_bag(path: Path) -> Generator[AnyReader]:
     """Open a bag of any kind: a ROS 1 file, a rosbag2 folder, or a single storage file.
 
     A rosbag2 folder without usable metadata (recorder killed, empty storage_identifier) is
-    read from its storage files.
+    read from its storage files. A file that was cut off while recording is read as far as it is
+    whole; how far that is goes to standard error.
 
     Raises:
         InputError: the file is missing, empty, truncated, not indexed or not a bag.
     """
     files = [path] if path.is_file() else _storage_files(path)
-    for file in files:
-        _check_magic(file)
-    sources = [path] if _has_usable_metadata(path) else files
     store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_JAZZY)
     with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        instead = {file: finished(file, folder) for file in files}
+        for file in files:
+            _check_magic(instead[file] or file)
+        cut = [file for file in files if instead[file]]
+        whole = not cut and _has_usable_metadata(path)
+        sources = [path] if whole else [instead[file] or file for file in files]
         # On damaged bytes rosbags passes on whatever the libraries below it raise.
         try:
             reader = stack.enter_context(_StandardTypesReader(sources, default_typestore=store))
         except Exception as error:
             _refuse(files[0], error)
+        if cut:
+            count = sum(connection.msgcount for connection in reader.connections)
+            seconds = reader.duration / NS_PER_S
+            files_cut = ", ".join(map(str, cut))
+            print(
+                f"{files_cut}: cut off while recording; read as far as it is whole: {count} "
+                f"messages in {seconds:.1f} s",
+                file=sys.stderr,
+            )
         yield reader
 
 
@@ -203,8 +220,15 @@ def serialization(reader: AnyReader) -> Any:
 
 
 def deserialize(reader: AnyReader, connection: Connection, data: bytes) -> Any:
-    """Deserialise a message of any type but the event types, which `msg_adapters` decode."""
-    return reader.deserialize(data, connection.msgtype)
+    """Deserialise a message of any type but the event types, which `msg_adapters` decode.
+
+    Raises:
+        InputError: damaged data.
+    """
+    try:
+        return reader.deserialize(data, connection.msgtype)
+    except Exception as error:  # as of opening
+        _refuse(Path(str(reader.paths[0])), error)
 
 
 def _event_connection(path: Path, reader: AnyReader, topic: str | None) -> Connection:

@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
@@ -15,6 +16,7 @@ from emoflow_ros.errors import InputError
 # A few stray events are a sensor's glitch; more than this share is another sensor's geometry.
 MAX_OUTSIDE_SHARE = 0.01
 _MIN_JUDGED = 1000
+_FURTHEST_NS = 9e18
 
 
 class Recording(Protocol):
@@ -61,6 +63,26 @@ def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:
             yield events
         elif len(events) and events.t[-1] >= since:
             yield events[int(np.searchsorted(events.t, since)) :]
+
+
+def to_pixels(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
+    largest = np.iinfo(np.uint16).max
+    fits = (values >= 0) & (values < largest)  # NaN does not
+    return np.where(fits, values, largest).astype(np.uint16)
+
+
+def to_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
+    """Convert times of a floating-point type in units of so many ns.
+
+    Raises:
+        InputError: a time that is not finite, or further than centuries from zero.
+    """
+    with np.errstate(all="ignore"):
+        ns = t.astype(np.float64) * unit
+    if not (np.abs(ns) < _FURTHEST_NS).all():
+        raise InputError(path, "event times that are not finite", "copy it again")
+    return np.rint(ns).astype(np.int64)
 
 
 def require_camera(recording: Recording) -> Camera:

@@ -16,7 +16,13 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers.dsec_folder import DsecFolder
 from emoflow_ros.offline.readers.file_recording import FileRecording
-from emoflow_ros.offline.readers.hdf5 import CHUNK, holds, open_hdf5, refuse, row_before
+from emoflow_ros.offline.readers.hdf5 import (
+    CHUNK,
+    damage_refused,
+    holds,
+    open_hdf5,
+    row_before,
+)
 
 _COLUMNS = ("x", "y", "t", "p")
 _SIZE = (640, 480)
@@ -58,16 +64,18 @@ class DsecRecording(FileRecording):
         if not holds(events, [f"events/{name}" for name in _COLUMNS]):
             self.stack.close()
             raise InputError(events, "holds no event columns", "give DSEC's events.h5")
-        self._columns = [file[f"events/{name}"] for name in _COLUMNS]
+        with damage_refused(events):
+            self._columns = [file[f"events/{name}"] for name in _COLUMNS]
         lengths = {len(column) for column in self._columns}
         if len(lengths) != 1:
             self.stack.close()
             raise InputError(events, "event columns of different lengths", "copy it again")
         (self._count,) = lengths
-        self._offset = int(file["t_offset"][()]) if "t_offset" in file else 0
-        if self._count:
-            t = self._columns[_COLUMNS.index("t")]
-            self.duration = (int(t[-1]) - int(t[0])) / _US_PER_S
+        with damage_refused(events):
+            self._offset = int(file["t_offset"][()]) if "t_offset" in file else 0
+            if self._count:
+                t = self._columns[_COLUMNS.index("t")]
+                self.duration = (int(t[-1]) - int(t[0])) / _US_PER_S
 
     @staticmethod
     def matches(path: Path) -> bool:
@@ -81,13 +89,11 @@ class DsecRecording(FileRecording):
 
     def _read(self, since: int | None) -> Iterator[Events]:
         t_column = self._columns[_COLUMNS.index("t")]
-        try:
+        with damage_refused(self.path):
             start = row_before(self._count, lambda row: int(self._ns(t_column[row])), since)
             for first in range(start, self._count, CHUNK):
                 x, y, t, p = (column[first : first + CHUNK] for column in self._columns)
                 yield Events(x.astype(np.uint16), y.astype(np.uint16), self._ns(t), p > 0)
-        except OSError as error:
-            refuse(self.path, error)
 
     def _ns(self, t: Any) -> Any:
         return (t.astype(np.int64) + self._offset) * 1000
@@ -115,7 +121,7 @@ def _read_map(path: Path) -> NDArray[np.float32]:
     """Where each pixel of the sensor lies in the rectified view, (H, W, 2) px."""
     if not holds(path, [_MAP]):
         raise InputError(path, f"holds no {_MAP}", "unpack the sequence's events again")
-    with open_hdf5(path) as file:
+    with open_hdf5(path) as file, damage_refused(path):
         table = file[_MAP][:].astype(np.float32)
     if table.shape != (_SIZE[1], _SIZE[0], 2):
         raise InputError(path, f"a map of shape {table.shape}", "give the map of a 640x480 sensor")

@@ -8,13 +8,12 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck, trimmed
+from emoflow_ros.offline.readers.base import StreamCheck, to_ns, to_pixels, trimmed
 
 _EVENTS = "events.txt"
 _CHUNK_BYTES = 4 << 20  # about 200 000 events
@@ -60,10 +59,10 @@ class EcdRecording:
         camera = self.camera
         size = (camera.width, camera.height) if camera else (_OUTSIDE, _OUTSIDE)
         check = StreamCheck(self._file, *size)
-        with self._file.open(encoding="ascii") as lines:
+        with self._file.open("rb") as lines:
             lines.seek(start)
             while text := lines.read(_CHUNK_BYTES):
-                yield check(self._parse(text + lines.readline()))
+                yield check(self._parse(_text(self._file, text + lines.readline())))
         check.finish()
 
     def __enter__(self) -> Self:
@@ -115,13 +114,7 @@ class EcdRecording:
         if not np.isfinite(rows).all():
             raise InputError(self._file, "holds values that are not finite", _ROW)
         t, x, y, p = rows.T
-        return Events(_coordinate(x), _coordinate(y), np.rint(t * NS_PER_S).astype(np.int64), p > 0)
-
-
-def _coordinate(values: NDArray[np.float64]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    fits = (values >= 0) & (values < _OUTSIDE)
-    return np.where(fits, values, _OUTSIDE).astype(np.uint16)
+        return Events(to_pixels(x), to_pixels(y), to_ns(self._file, t), p > 0)
 
 
 def _text(path: Path, line: bytes) -> str:

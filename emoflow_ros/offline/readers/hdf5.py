@@ -1,7 +1,8 @@
 """What the readers of HDF5 data sets share."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,6 +13,8 @@ from emoflow_ros.errors import InputError
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 CHUNK = 1_000_000  # events
+# What h5py passes on of a file whose inner structure is damaged.
+_DAMAGED = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError)
 
 
 def is_hdf5(path: Path) -> bool:
@@ -38,8 +41,21 @@ def holds(path: Path, names: Sequence[str]) -> bool:
     """Whether the path is an HDF5 file with data sets of these names."""
     if not is_hdf5(path):
         return False
-    with open_hdf5(path) as file:
+    with open_hdf5(path) as file, damage_refused(path):
         return all(isinstance(file.get(name), h5py.Dataset) for name in names)
+
+
+@contextmanager
+def damage_refused(path: Path) -> Iterator[None]:
+    """Turn what h5py raises while a damaged file is read into an InputError.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        yield
+    except _DAMAGED as error:
+        refuse(path, error)
 
 
 def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:

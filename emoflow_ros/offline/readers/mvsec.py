@@ -7,13 +7,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.base import to_ns, to_pixels
 from emoflow_ros.offline.readers.file_recording import FileRecording
-from emoflow_ros.offline.readers.hdf5 import CHUNK, holds, open_hdf5, refuse, row_before
+from emoflow_ros.offline.readers.hdf5 import (
+    CHUNK,
+    damage_refused,
+    holds,
+    open_hdf5,
+    row_before,
+)
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")
@@ -35,14 +40,21 @@ class MvsecRecording(FileRecording):
         self.topic = topic or _LEFT
         if self.topic not in _TOPICS or not holds(path, [self.topic]):
             raise InputError(path, f"no event table '{topic}'", f"give one of {', '.join(_TOPICS)}")
-        self._table = self.stack.enter_context(open_hdf5(path))[self.topic]
+        with damage_refused(path):
+            self._table = self.stack.enter_context(open_hdf5(path))[self.topic]
         if self._table.ndim != 2 or self._table.shape[1] != 4:
             self.stack.close()
             raise InputError(
                 path, f"an event table of shape {self._table.shape}", "a row is 'x y t p'"
             )
-        if len(self._table):
-            self.duration = float(self._table[-1, _T] - self._table[0, _T])
+        with damage_refused(path):
+            self.duration = self._measure()
+
+    def _measure(self) -> float | None:
+        if len(self._table) == 0:
+            return None
+        first, last = (int(self._ns(self._table[row, _T])) for row in (0, -1))
+        return (last - first) / NS_PER_S
 
     @staticmethod
     def matches(path: Path) -> bool:
@@ -54,15 +66,13 @@ class MvsecRecording(FileRecording):
         return self.checked(self._read(since), since)
 
     def _read(self, since: int | None) -> Iterator[Events]:
-        try:
-            start = row_before(len(self._table), lambda row: int(_ns(self._table[row, _T])), since)
-            for first in range(start, len(self._table), CHUNK):
+        with damage_refused(self.path):
+            count = len(self._table)
+            start = row_before(count, lambda row: int(self._ns(self._table[row, _T])), since)
+            for first in range(start, count, CHUNK):
                 rows = self._table[first : first + CHUNK]
-                x, y = rows[:, _X].astype(np.uint16), rows[:, _Y].astype(np.uint16)
-                yield Events(x, y, _ns(rows[:, _T]), rows[:, _P] > 0)
-        except OSError as error:
-            refuse(self.path, error)
+                x, y = to_pixels(rows[:, _X]), to_pixels(rows[:, _Y])
+                yield Events(x, y, self._ns(rows[:, _T]), rows[:, _P] > 0)
 
-
-def _ns(seconds: Any) -> Any:
-    return np.rint(seconds * NS_PER_S).astype(np.int64)
+    def _ns(self, seconds: Any) -> Any:
+        return to_ns(self.path, seconds)

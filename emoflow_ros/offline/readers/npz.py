@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.base import to_ns, to_pixels
 from emoflow_ros.offline.readers.file_recording import FileRecording
 
 _UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
@@ -52,7 +53,7 @@ class NpzRecording(FileRecording):
             raise InputError(path, "arrays of different shapes", _LAYOUT)
         if any(a.dtype.kind not in "biuf" or not np.isfinite(a).all() for a in (x, y, t, p)):
             raise InputError(path, "values that are not finite numbers", _LAYOUT)
-        self._events = Events(_pixels(x), _pixels(y), _to_ns(t_name, t), p > 0)
+        self._events = Events(to_pixels(x), to_pixels(y), _to_ns(path, t_name, t), p > 0)
         self.size = _size(path, arrays)
         if len(x):
             self.duration = (int(self._events.t[-1]) - int(self._events.t[0])) / NS_PER_S
@@ -98,17 +99,10 @@ def _size(path: Path, arrays: dict[str, NDArray[Any]]) -> tuple[int, int]:
     return width, height
 
 
-def _pixels(values: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    largest = np.iinfo(np.uint16).max
-    fits = (values >= 0) & (values < largest)
-    return np.where(fits, values, largest).astype(np.uint16)
-
-
-def _to_ns(name: str, t: NDArray[Any]) -> NDArray[np.int64]:
+def _to_ns(path: Path, name: str, t: NDArray[Any]) -> NDArray[np.int64]:
     unit = _UNITS_NS.get(name) or _guess_unit(t)
     if t.dtype.kind == "f":
-        return np.rint(t.astype(np.float64) * unit).astype(np.int64)
+        return to_ns(path, t, unit)
     return t.astype(np.int64) * unit
 
 

@@ -1,0 +1,43 @@
+"""A short run of `make fuzz` over the readers: damaged files end in one line, or are read."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.offline.readers.base import to_ns
+
+SCRIPT = Path(__file__).parent / "fuzz_readers.py"
+FILES = 20
+
+
+@pytest.mark.timeout(300)  # 30 s on a busy machine
+def test_damaged_files_of_every_format_end_in_one_line() -> None:
+    command = [sys.executable, SCRIPT, "--runs", str(FILES), "--seed", "1"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    found = re.findall(r"^== (\S+): (\d+) files, (\d+) refused$", ran.stdout, re.MULTILINE)
+    assert {name for name, _, _ in found} >= {"ros1", "sqlite3", "mcap", "raw", "npz", "dsec"}
+    assert {name for name, _, _ in found} >= {"mvsec", "ecd", "calib_txt", "calib_yaml", "imu_txt"}
+    assert {count for _, count, _ in found} == {str(FILES)}
+    assert sum(int(refused) for _, _, refused in found) > len(found) * FILES / 4
+
+
+def test_byte_above_127_in_ecd_events_is_one_line(tmp_path: Path) -> None:
+    lines = [b"0.1 1 2 1\n", b"0.2 1 2 1\n", b"0.3 1 \xb2 1\n", b"0.4 1 2 1\n"]
+    (tmp_path / "events.txt").write_bytes(b"".join(lines))
+    with open_recording(tmp_path) as recording, pytest.raises(InputError) as caught:
+        list(recording.event_chunks())
+    assert str(caught.value).startswith(f"{tmp_path / 'events.txt'}: not a text file; a line is")
+
+
+@pytest.mark.parametrize("time", [float("nan"), float("inf"), 1e300, -1e11])
+def test_times_that_no_clock_shows_are_refused(time: float) -> None:
+    assert to_ns(Path("a"), np.array([1.5])).tolist() == [1_500_000_000]
+    with pytest.raises(InputError, match=r"^a: event times that are not finite"):
+        to_ns(Path("a"), np.array([1.5, time]))
