@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 
 ROS=/opt/ros/jazzy
 ROOT=.test_messages
-PACKAGES=(dvs_msgs prophesee_event_msgs event_camera_msgs)
+PACKAGES=(dvs_msgs prophesee_event_msgs event_camera_msgs event_array_msgs)
 
 fail() {
     echo "error: $1" >&2
@@ -59,10 +59,12 @@ write_sources() {
             "std_msgs/Header header" "uint32 height" "uint32 width" "Event[] events"
         write_package "$package" msg/Event.msg msg/EventArray.msg
     done
-    write_interface event_camera_msgs EventPacket.msg \
-        "std_msgs/Header header" "uint32 height" "uint32 width" "uint64 seq" \
-        "uint64 time_base" "string encoding" "bool is_bigendian" "uint8[] events"
+    local packet=("std_msgs/Header header" "uint32 height" "uint32 width" "uint64 seq"
+        "uint64 time_base" "string encoding" "bool is_bigendian" "uint8[] events")
+    write_interface event_camera_msgs EventPacket.msg "${packet[@]}"
     write_package event_camera_msgs msg/EventPacket.msg
+    write_interface event_array_msgs EventArray.msg "${packet[@]}"
+    write_package event_array_msgs msg/EventArray.msg
 }
 
 # The wheels' CMake exports hold the paths of the machine that built the wheels.

@@ -17,6 +17,7 @@ from emoflow_ros.node.supervisor import FACTORY
 _EPILOG = """\
 topics in:
   events       dvs_msgs or prophesee_event_msgs EventArray, event_camera_msgs/EventPacket,
+               event_array_msgs/EventArray (older drivers),
                sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
                the graph is taken; PointCloud2 must be remapped
   camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped

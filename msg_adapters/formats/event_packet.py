@@ -1,7 +1,8 @@
 """event_camera_msgs/EventPacket: a packet in one of the encodings of `encodings/`.
 
 Fields: Header header, uint32 height, uint32 width, uint64 seq, uint64 time_base, string
-encoding, bool is_bigendian, uint8[] events.
+encoding, bool is_bigendian, uint8[] events. The drivers of 2021 to 2023 published the same layout
+as event_array_msgs/EventArray.
 """
 
 from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
@@ -9,7 +10,7 @@ from msg_adapters.packet import PacketDecoder
 from msg_adapters.registry import make_packet_decoder, packet_decoders
 from msg_adapters.wire import Cursor, DecodeError, Serialization
 
-TYPES = ("event_camera_msgs/msg/EventPacket",)
+TYPES = ("event_camera_msgs/msg/EventPacket", "event_array_msgs/msg/EventArray")
 
 _TIME_LIMIT = 1 << 62
 

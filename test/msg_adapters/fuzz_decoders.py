@@ -36,6 +36,7 @@ with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.offline.re
     from msg_adapters import make_decoder, supported_types
 
     PACKET = "event_camera_msgs/msg/EventPacket"
+    PACKETS = (PACKET, "event_array_msgs/msg/EventArray")
     make_decoder(PACKET, "cdr")  # imports all formats and encodings, instrumented
 
 type Target = Callable[[bytes], None]
@@ -92,8 +93,8 @@ def decode(ros_type: str, kind: str) -> Target:
     if kind in ENCODERS:
         wrap = _packet_of(kind)
         return lambda data: _ignore(decode_within_limits(decoder, kind, wrap(data)))
-    limits = {"EventArray": "event_array", "PointCloud2": "point_cloud", "EventPacket": DENSEST}
-    limit = limits[ros_type.rpartition("/")[2]]
+    others = {"EventArray": "event_array", "PointCloud2": "point_cloud"}
+    limit = DENSEST if ros_type in PACKETS else others[ros_type.rpartition("/")[2]]
     return lambda data: _ignore(decode_within_limits(decoder, limit, data))
 
 
@@ -124,7 +125,7 @@ def valid_input(target: str) -> bytes:
         return _npy(events.t)
     if kind in ENCODERS:
         return b"\0" + payload(ENCODERS[kind](events, int(events.t[0])))
-    if ros_type == PACKET:
+    if ros_type in PACKETS:
         return event_packet(payload(ENCODERS["evt3"](events)), "evt3", kind)
     if ros_type.endswith("EventArray"):
         return event_array(events, kind, package=ros_type.partition("/")[0])

@@ -28,7 +28,8 @@ _STORAGE_SUFFIXES = (".db3", ".mcap")
 _MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 _SQLITE_HEADER = 100
 _ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
-_STANDALONE = "/EventArray"  # times do not depend on messages before
+# Types whose times do not depend on messages before.
+_STANDALONE = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
 _REPAIR = {
     ".bag": "repair it with 'rosbag reindex' or copy it again",
     ".db3": "repair it with 'ros2 bag reindex' or copy it again",
@@ -63,7 +64,7 @@ class BagRecording:
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, one message at a time."""
         start = None
-        if since is not None and self._connection.msgtype.endswith(_STANDALONE):
+        if since is not None and self._connection.msgtype in _STANDALONE:
             start = log_time_before(since, self._first_event)
         return trimmed(self._checked(start), since)
 
@@ -80,7 +81,9 @@ class BagRecording:
     def _decode(self, start: int | None) -> Iterator[tuple[int, EventMessage]]:
         """Decode the messages logged at or after a time in ns, each with its log time."""
         decoder = make_decoder(self._connection.msgtype, serialization(self._bag))
-        for _, logged, data in read_messages(self.path, self._bag, [self._connection], start):
+        # Each file of a split bag without metadata has a connection of its own.
+        connections = [c for c in self._bag.connections if c.topic == self.topic]
+        for _, logged, data in read_messages(self.path, self._bag, connections, start):
             try:
                 yield logged, decoder.decode(data)
             except DecodeError as error:
