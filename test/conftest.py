@@ -13,6 +13,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
+os.environ.setdefault("ROS_LOG_DIR", str(ROOT / ".pytest_cache" / "ros_log"))
+
 # Each process that tests start imports hundreds of modules. Where no bytecode is wanted beside
 # the sources it would compile them all, for seconds, so it finds it in a folder of the tests.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):

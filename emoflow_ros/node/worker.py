@@ -24,6 +24,7 @@ from emoflow_ros.node.answer import pack
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.pictures import Painter
 from emoflow_ros.node.tasks import Wishes
+from emoflow_ros.tracebacks import keep_traceback
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
@@ -120,5 +121,5 @@ def _describe(error: Exception) -> dict[str, Any]:
     out_of_memory = isinstance(error, MemoryError) or "DefaultCPUAllocator" in str(error)
     if isinstance(error, InputError):
         return {"error": str(error), "device": device, "fatal": False}
-    line = " ".join(f"{type(error).__name__}: {error}".split())
+    line = " ".join(f"{type(error).__name__}: {error}".split()) + keep_traceback(error)
     return {"error": line, "device": device, "fatal": device or out_of_memory}

@@ -22,6 +22,7 @@ from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.results import WindowResult, assess
 from emoflow_ros.offline.submission import Submission
 from emoflow_ros.offline.truth import Truth
+from emoflow_ros.tracebacks import keep_traceback
 
 # The total as text: tqdm drops it when a recording outlasts the length that it announced.
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total_fmt} s [{elapsed}<{remaining}{postfix}]"
@@ -161,7 +162,7 @@ def attempt(estimator: Estimator, window: Window) -> tuple[Estimate, str]:
 
     Returns:
         The estimate and an empty note, or one without values (`diverged`) and the exception in
-        words. The next window starts cold then.
+        words, with the file of its traceback. The next window starts cold then.
     """
     try:
         return estimator.estimate(window), ""
@@ -170,7 +171,7 @@ def attempt(estimator: Estimator, window: Window) -> tuple[Estimate, str]:
         quality = Quality(events=0, stop_reason=Status.DIVERGED)
         middle = (window.t_start + window.t_end) // 2
         nothing = Estimate(window.t_start, window.t_end, middle, Status.DIVERGED, quality)
-        return nothing, f"{type(error).__name__}: {error}"
+        return nothing, f"{type(error).__name__}: {error}{keep_traceback(error)}"
 
 
 def _windows(recording: Recording, progress: Progress) -> Iterator[Window]:

@@ -26,6 +26,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import import_message_type
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.offline.conversion import Ros1Converter
+from emoflow_ros.offline.pace import Pace
 from emoflow_ros.offline.readers.bag import open_bag, read_messages
 from msg_adapters import supported_types
 
@@ -99,15 +100,12 @@ class Player:
             InputError: damaged data.
         """
         begin, end = self._reader.start_time, self._reader.end_time
-        started = time.monotonic()
+        pace = Pace(rate)
         tick = begin
         with tqdm(total=(end - begin) / NS_PER_S, bar_format=_BAR) as bar:
             for connection, t, data in read_messages(self._path, self._reader, self._connections):
                 cdr = self._to_cdr(connection, data)
-                ahead = started + (t - begin) / NS_PER_S / rate - time.monotonic()
-                if ahead > 0:
-                    time.sleep(ahead)
-                self.lag_s = max(self.lag_s, -ahead)
+                pace.wait((t - begin) / NS_PER_S)
                 if self._clock is not None and t >= tick:
                     sec, nanosec = divmod(t, NS_PER_S)
                     self._clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
@@ -115,6 +113,7 @@ class Player:
                 self._publishers[connection.topic].publish(cdr)
                 self.published += 1
                 bar.update((t - begin) / NS_PER_S - bar.n)
+        self.lag_s = max(self.lag_s, pace.lag_s)
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=_FLUSH_S))
 

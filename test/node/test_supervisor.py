@@ -3,6 +3,7 @@ import queue
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,7 +141,10 @@ def test_exception_costs_the_window_but_not_the_worker(bench: Callable[..., Benc
     b.result()
     first = b.supervisor.pid
     b.put(x=7)
-    assert b.loss() == Loss("a window failed: FloatingPointError: no luck", worker=False)
+    loss = b.loss()
+    reason, _, file = loss.reason.partition("; traceback in ")
+    assert (reason, loss.worker) == ("a window failed: FloatingPointError: no luck", False)
+    assert Path(file).read_text().rstrip().endswith("FloatingPointError: no luck")
     b.put()
     assert b.result().estimate.angular[1] == 1  # reset: started cold
     assert b.supervisor.pid == first
