@@ -63,6 +63,7 @@ class Outputs:
         return Wishes(
             tuple(subscribed),
             flow_color_max=self._options.flow_color_max,
+            flow_stride=self._options.flow_stride,
             tracks=self._options.tracks,
             twist_rate=self._options.twist_rate,
         )

@@ -106,6 +106,13 @@ class OutputOptions:
         minimum=0.0,
         maximum=1e6,
     )
+    flow_stride: int = option(
+        1,
+        "every so many-th pixel of every so many-th row is published on `flow/image`; 2 makes its "
+        "messages a quarter as large",
+        minimum=1,
+        maximum=64,
+    )
     twist_rate: float = option(
         0.0,
         "twists per second on `egomotion/twist`, from the spline inside the windows; 0 gives one "

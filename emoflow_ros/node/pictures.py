@@ -46,7 +46,8 @@ class Painter:
         """Draw the pictures that are wanted, of the sensor's size, at the estimate's time.
 
         Returns:
-            Arrays by `Picture`: the flow (height, width, 2) in px/s, NaN = none; its colours
+            Arrays by `Picture`: the flow (height, width, 2) in px/s, NaN = none, or of it the
+            pixels (n * row, n * column) for a flow_stride of n; its colours
             (height, width, 3); the sharpened events (height, width); the point tracks up to
             the window's end as line segments (S, 2, 4), see `trails_at_unit_depth`.
         """
@@ -59,6 +60,9 @@ class Painter:
         if Picture.COLOR in wishes.pictures:
             longest = wishes.flow_color_max or None
             pictures[Picture.COLOR] = flow_to_rgb(pictures[Picture.FLOW], longest)
+        if Picture.FLOW in wishes.pictures:
+            stride = wishes.flow_stride
+            pictures[Picture.FLOW] = pictures[Picture.FLOW][::stride, ::stride]
         if Picture.EVENTS in wishes.pictures:
             size = (self._camera.width, self._camera.height)
             pictures[Picture.EVENTS] = sharpened_events(window, flow, estimate.t, *size)

@@ -43,12 +43,14 @@ class Wishes:
     Attributes:
         pictures: those of `pictures.Picture` that somebody subscribes to.
         flow_color_max: flow in full colour, px/s; 0 takes the picture's 99th percentile.
+        flow_stride: of the flow's picture every so many-th pixel and row.
         tracks: points that the tracks among the pictures follow.
         twist_rate: twists per second of event time; 0: one per window.
     """
 
     pictures: tuple[str, ...] = ()
     flow_color_max: float = 0.0
+    flow_stride: int = 1
     tracks: int = 1
     twist_rate: float = 0.0
 

@@ -52,9 +52,10 @@ def test_twist_holds_what_the_estimator_said(peer: Peer, recorder: SharedNode) -
     np.testing.assert_array_equal(peer.covariances[0].twist.covariance, np.eye(6).ravel())
 
 
-def test_flow_image_is_in_pixels_per_second(peer: Peer, recorder: SharedNode) -> None:
+@pytest.mark.parametrize("stride", [1, 3])
+def test_flow_image_is_in_pixels_per_second(peer: Peer, recorder: SharedNode, stride: int) -> None:
     peer.subscribe_flow()
-    recorder.start(peer, {"camera.frame_id": "my_frame"})
+    recorder.start(peer, {"camera.frame_id": "my_frame", "output.flow_stride": stride})
     peer.connect()
     peer.publish_camera()
 
@@ -66,11 +67,13 @@ def test_flow_image_is_in_pixels_per_second(peer: Peer, recorder: SharedNode) ->
 
     peer.spin_until(publish_until_image, "a flow image")
     image = peer.images[0]
-    assert (image.encoding, image.width, image.height, image.step) == ("32FC2", 64, 48, 512)
+    width, height = -(-64 // stride), 48 // stride
+    assert (image.encoding, image.width, image.height) == ("32FC2", width, height)
+    assert image.step == 8 * width
     assert image.header.frame_id == "my_frame"
-    flow = np.frombuffer(image.data, "<f4").reshape(48, 64, 2)
+    flow = np.frombuffer(image.data, "<f4").reshape(height, width, 2)
     assert np.isnan(flow[:, 0]).all()
-    np.testing.assert_array_equal(flow[:, 1:], np.tile(np.float32([1, -2]), (48, 63, 1)))
+    np.testing.assert_array_equal(flow[:, 1:], np.tile(np.float32([1, -2]), (height, width - 1, 1)))
 
 
 @pytest.mark.parametrize("wish", [signal.SIGINT, signal.SIGTERM])

@@ -76,7 +76,12 @@ def vector(v: Any) -> list[float]:
 
 
 def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Bench]) -> None:
-    b = bench(output__tracks=7, output__flow_color_max=3.0, output__twist_rate=20.0)
+    b = bench(
+        output__tracks=7,
+        output__flow_color_max=3.0,
+        output__twist_rate=20.0,
+        output__flow_stride=4,
+    )
     assert b.outputs.wishes.pictures == ()
     for picture in Picture:
         b.node.publishers[picture].subscribers = 1
@@ -84,6 +89,7 @@ def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Ben
         b.node.publishers[picture].subscribers = 0
     wishes = b.outputs.wishes
     assert (wishes.tracks, wishes.flow_color_max, wishes.twist_rate) == (7, 3.0, 20.0)
+    assert wishes.flow_stride == 4
 
 
 def test_tracks_are_a_marker_in_front_of_the_camera(bench: Callable[..., Bench]) -> None:

@@ -78,6 +78,21 @@ def test_flow_is_evaluated_once_for_its_image_and_its_colours() -> None:
     np.testing.assert_array_equal(drawn[Picture.COLOR], expected)
 
 
+@pytest.mark.parametrize("stride", [2, 3, 7])
+def test_flow_image_holds_every_so_many_th_pixel_and_the_colours_all(stride: int) -> None:
+    class Ramp(CountedFlow):
+        def velocity(self, t: int) -> np.ndarray:
+            x, y = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+            return np.stack([x, y], axis=-1).astype(np.float32)
+
+    wishes = Wishes((Picture.FLOW, Picture.COLOR), flow_stride=stride)
+    drawn = Painter(CAMERA).draw(wishes, estimate(Ramp(), window()), window())
+    flow = drawn[Picture.FLOW]
+    assert flow.shape == (-(-48 // stride), -(-64 // stride), 2)
+    assert flow[3, 5].tolist() == [5 * stride, 3 * stride]
+    np.testing.assert_array_equal(drawn[Picture.COLOR], flow_to_rgb(Ramp().velocity(0), None))
+
+
 def test_no_flow_no_pictures() -> None:
     wishes = Wishes(tuple(Picture), tracks=3)
     assert Painter(CAMERA).draw(wishes, estimate(None, window()), window()) == {}
