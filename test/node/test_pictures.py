@@ -1,4 +1,6 @@
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,3 +120,17 @@ def test_tracks_go_on_over_windows() -> None:
     # After a gap all of them begin anew.
     assert len(third) == 12 * 2
     np.testing.assert_array_equal(third[:, :, :3], first[:, :, :3])
+
+
+def test_profile_for_large_images_holds_one_in_shared_memory() -> None:
+    path = Path(__file__).resolve().parents[2] / "config" / "dds" / "fastdds_large_images.xml"
+    names = {"x": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
+    root = ElementTree.parse(path).getroot()
+    [size] = root.findall(".//x:segment_size", names)
+    [longest] = root.findall(".//x:maxMessageSize", names)
+    assert size.text is not None and longest.text is not None
+    assert int(size.text) >= 4 * int(longest.text)
+    assert int(longest.text) > 8 * 346 * 260
+    used = [t.text for t in root.findall(".//x:userTransports/x:transport_id", names)]
+    made = [t.text for t in root.findall(".//x:transport_descriptor/x:transport_id", names)]
+    assert used == made == ["shared_memory", "udp"]
