@@ -178,7 +178,7 @@ class Factors:
     focal: float = _log_normal("widths", 0.72, 1.25, 0.5, 1.5)
     lens: str = _choice({"none": 0.25, "plumb_bob": 0.40, "equidistant": 0.35})
     threshold: float = _log_normal("log intensity", 0.22, 1.3, 0.1, 0.4)
-    off_ratio: float = _log_normal("", 1.0, 1.2, 0.6, 1.6)
+    off_ratio: float = _log_normal("", 0.93, 1.2, 0.6, 1.6)
     mismatch: float = _uniform("", 0.02, 0.12)
     refractory_us: int = _number(
         "us",
@@ -187,8 +187,8 @@ class Factors:
         10_000,
         lambda rng: round(math.exp(rng.uniform(math.log(100), math.log(3000)))),
     )
-    noise_hz: float = _log_uniform("Hz per pixel", 0.01, 10.0)
-    leak_hz: float = _log_uniform("Hz per pixel", 0.01, 0.3)
+    noise_hz: float = _log_normal("Hz per pixel", 0.12, 5.0, 0.01, 10.0)
+    leak_hz: float = _log_uniform("Hz per pixel", 0.001, 0.2)
     hot_pixels: int = _count(
         "geometric, mean 9, at most 100", 100, lambda rng: int(rng.geometric(0.1)) - 1
     )

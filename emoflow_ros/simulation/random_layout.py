@@ -105,8 +105,8 @@ def _street(factors: Factors, rng: np.random.Generator) -> _Walls:
             quads += cuboid(centre, (8.0, height, depth), 0.0, _plain(), rng)
             z += depth + rng.uniform(0, 10)
     for z in np.arange(4.0, _LENGTH - 40, rng.uniform(7, 25)):
-        side = rng.choice((-1, 1)) * rng.uniform(0.65, 0.8) * half
-        centre = (side, floor - 0.75, z + rng.uniform(0, 6))
+        beside = rng.choice((-1, 1)) * rng.uniform(0.65, 0.8) * half
+        centre = (beside, floor - 0.75, z + rng.uniform(0, 6))
         quads += cuboid(centre, (1.8, 1.5, 4.2), 0.0, _plain(), rng)
     near = 0.5 * half
     return _Walls(quads, near, near * max(factors.depth_ratio, 3.0), -0.03, floor, 0.35 * half)

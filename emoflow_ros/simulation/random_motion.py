@@ -252,7 +252,8 @@ def _waves(
         rng: draws shares, frequencies and phases.
     """
     shares = rng.dirichlet(np.full(2 * len(channels), 1.0))
-    drawn = np.exp(rng.uniform(*np.log(band), len(shares)))
+    low, high = np.log(band)
+    drawn = np.exp(rng.uniform(low, high, len(shares)))
     phases = rng.uniform(0, 2 * np.pi, len(shares))
     waves = []
     for k, (share, hz, phase) in enumerate(zip(shares, drawn, phases, strict=True)):

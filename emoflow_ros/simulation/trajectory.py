@@ -48,8 +48,8 @@ class Trajectory:
 
     Position and the angles of R = Ry(yaw) Rx(pitch) Rz(roll) are each an offset plus a constant
     rate plus sinusoids plus steps. A lever l adds R l to the position: the body then turns
-    about a point that is not its origin, as a camera on a pan-tilt head does. For a camera, the body is the optical frame; the world's y axis
-    points down, as gravity does.
+    about a point that is not its origin, as a camera on a pan-tilt head does. For a camera, the
+    body is the optical frame; the world's y axis points down, as gravity does.
 
     Args:
         offset: (6,) pose at t = 0 without the waves, in m and rad.
