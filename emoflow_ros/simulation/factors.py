@@ -73,7 +73,7 @@ def _choice(shares: Mapping[str, float]) -> Any:
 def _number(unit: str, text: str, low: float, high: float, draw: Draw) -> Any:
     def clipped(rng: np.random.Generator) -> Value:
         value = draw(rng)
-        return type(value)(min(max(value, low), high))  # type: ignore[type-var]
+        return type(value)(min(max(value, low), high))
 
     return field(metadata={"spec": FactorSpec(unit, text, clipped, low=low, high=high)})
 
@@ -153,13 +153,13 @@ class Factors:
         }
     )
     feature_px: float = _log_normal("px", 6.0, 1.6, 2.0, 25.0)
-    contrast: float = _log_normal("", 0.3, 1.6, 0.05, 0.7)
+    contrast: float = _log_normal("", 0.26, 1.6, 0.05, 0.7)
     blank_share: float = _beta("", 2.2, 1.6, 1.0)
 
     motion: str = _choice(
         {
             "hover": 0.13,
-            "calm": 0.10,
+            "calm": 0.08,
             "shake": 0.12,
             "turn_and_stop": 0.08,
             "walking": 0.13,
@@ -169,7 +169,7 @@ class Factors:
             "pan_tilt": 0.04,
             "rotation": 0.04,
             "stop_and_go": 0.04,
-            "still": 0.04,
+            "still": 0.06,
         }
     )
     image_motion: float = _log_normal("px per 100 ms", 7.0, 2.4, 0.1, 60.0)

@@ -102,8 +102,9 @@ def _follow(state, image, product):  # type: ignore[no-untyped-def]
     for row in range(height):
         for column in range(width):
             value = image[row, column]
-            share = 1 - np.exp(-product * np.exp(value))
-            state[row, column] += np.float32(share) * (value - state[row, column])
+            step = product * np.exp(value)
+            # Implicit Euler: stable for steps of any length.
+            state[row, column] += np.float32(step / (1 + step)) * (value - state[row, column])
 
 
 @njit(cache=True, nogil=True)

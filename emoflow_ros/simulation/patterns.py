@@ -29,11 +29,13 @@ def random_textures(factors: Factors) -> TextureSet:
     wall only in part, as posters and shelves do; the rest is blank.
     """
     rng = factors.generator("textures")
+    # A plane has nothing else to look at.
+    blank = min(factors.blank_share, 0.5) if factors.scene == "plane" else factors.blank_share
     images = []
     for k in range(PAINTED):
         kind = factors.texture if k < PAINTED - 2 else TEXTURE_KINDS[int(rng.integers(6))]
         pattern = _PAINTERS[kind](rng)
-        mask = _posters(1 - factors.blank_share, rng)
+        mask = _posters(1 - blank, rng)
         images.append(np.where(mask, pattern, _shading(rng)).astype(np.float32))
     return texture_set([*images, _shading(rng)])
 

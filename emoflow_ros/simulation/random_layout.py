@@ -13,6 +13,7 @@ from emoflow_ros.simulation.surfaces import MOVING, Look, Quad, cuboid
 from emoflow_ros.simulation.textures import LOG_CONTRAST
 
 _LENGTH = 260.0  # m: no recording goes further down a corridor or a street
+_GROUND = -1  # in place of a texture: one will be drawn, but not the blank one
 _SHADE = 0.35  # spread of the faces' mean log intensity
 
 
@@ -132,8 +133,8 @@ def _table_top(factors: Factors, rng: np.random.Generator) -> _Walls:
 def _plane(factors: Factors, rng: np.random.Generator) -> _Walls:
     distance = float(np.exp(rng.uniform(np.log(0.6), np.log(4.0))))
     yaw, pitch = rng.uniform(-0.5, 0.5, 2)
-    quads = [_panel((0.0, 0.0, distance), yaw, pitch, 80 * distance, 80 * distance)]
-    return _Walls(quads, distance, distance)
+    wall = _panel((0.0, 0.0, distance), yaw, pitch, 80 * distance, 80 * distance)
+    return _Walls([dataclasses.replace(wall, texture=_GROUND)], distance, distance)
 
 
 _BUILDERS: dict[str, Callable[[Factors, np.random.Generator], _Walls]] = {
@@ -157,7 +158,7 @@ def _ground_and_sky(floor: float, rng: np.random.Generator) -> list[Quad]:
 
 def _level(y: float, side: float) -> Quad:
     corner = np.array([-side / 2, y, _LENGTH / 2 - side / 2])
-    return Quad(corner, np.array([side, 0.0, 0.0]), np.array([0.0, 0.0, side]), 0, 1.0)
+    return Quad(corner, np.array([side, 0.0, 0.0]), np.array([0.0, 0.0, side]), _GROUND, 1.0)
 
 
 def _panel(
@@ -228,17 +229,17 @@ def _plain() -> Look:
 
 def _painted(quad: Quad, factors: Factors, texel: float, rng: np.random.Generator) -> Quad:
     """Draw how a face looks; some are blank as a whole."""
-    blank = rng.random() < 0.5 * factors.blank_share
-    texture, scale = int(rng.integers(PAINTED)), rng.uniform(0.7, 1.4)
-    contrast, shade = rng.uniform(0.6, 1.3), float(rng.normal(0, _SHADE))
+    blank = rng.random() < 0.5 * factors.blank_share and quad.texture != _GROUND
+    texture, scale = int(rng.integers(PAINTED)), float(rng.uniform(0.7, 1.4))
+    contrast, shade = float(rng.uniform(0.6, 1.3)), float(rng.normal(0, _SHADE))
+    if quad.texture == BLANK:  # the sky keeps its shade
+        return dataclasses.replace(quad, texel=texel * scale)
     return dataclasses.replace(
         quad,
-        texture=BLANK if blank or quad.texture == BLANK else texture,
+        texture=BLANK if blank else texture,
         texel=texel * scale,
-        contrast=1.0
-        if blank or quad.texture == BLANK
-        else factors.contrast / LOG_CONTRAST * contrast,
-        shade=quad.shade if quad.texture == BLANK else shade,
+        contrast=1.0 if blank else factors.contrast / LOG_CONTRAST * contrast,
+        shade=shade,
     )
 
 

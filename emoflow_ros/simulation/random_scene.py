@@ -14,7 +14,8 @@ from emoflow_ros.simulation.surfaces import Quad
 from emoflow_ros.simulation.trajectory import Trajectory
 from emoflow_ros.simulation.truth import GroundTruth
 
-CLEARANCE = 0.3  # m, from the camera to any static surface
+CLEARANCE = 0.3  # m, from the camera to any static surface, at least
+_CLEARANCE_SHARE = 0.25  # of the typical depth: nobody flies with the lens at the wall
 GRID = 16  # px: motion is measured on every 16th pixel
 _FAR = 80.0  # m: sky and hills do not count for the image's motion
 _LARGEST_ACCELERATION = np.radians(3000)  # rad/s^2
@@ -146,7 +147,7 @@ def _with_clearance(
 ) -> float:
     """Shrink the translation until the camera keeps its distance from everything."""
     start = float(quad_distance(layout.quads, np.zeros((1, 3)))[0])
-    allowed = min(CLEARANCE, 0.7 * start)
+    allowed = min(max(CLEARANCE, _CLEARANCE_SHARE * layout.depth), 0.7 * start)
     for _ in range(40):
         trajectory = path.scaled(place, turn).trajectory(*gaze)
         way = np.stack([trajectory.pose(t)[1] for t in times])
