@@ -98,7 +98,7 @@ def _log_normal(unit: str, median: float, spread: float, low: float, high: float
 
 
 def _beta(unit: str, a: float, b: float, high: float) -> Any:
-    text = f"{high:g} x beta({a:g}, {b:g})"
+    text = f"beta({a:g}, {b:g})" if high == 1 else f"{high:g} x beta({a:g}, {b:g})"
     return _number(unit, text, 0, high, lambda rng: float(high * rng.beta(a, b)))
 
 
@@ -108,7 +108,7 @@ def _count(text: str, high: int, draw: Callable[[np.random.Generator], int]) -> 
 
 def _sometimes(unit: str, chance: float, low: float, high: float) -> Any:
     """Zero, or with `chance` a value between low and high."""
-    text = f"0, or with {100 * chance:g} % uniform {low:g} to {high:g}"
+    text = f"0, or with {100 * chance:.0f} % uniform {low:g} to {high:g}"
 
     def draw(rng: np.random.Generator) -> float:
         present, value = rng.random() < chance, float(rng.uniform(low, high))

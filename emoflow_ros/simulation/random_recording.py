@@ -108,7 +108,7 @@ def simulate_random(
     _check(duration_s)
     camera = random_camera(factors)
     scene = random_scene(factors, camera, duration_s)
-    times = _frame_times(factors, camera, scene, round(duration_s * NS_PER_S))
+    times = frame_times(factors, camera, scene, round(duration_s * NS_PER_S))
     frames = tqdm(
         _frames(factors, camera, scene, times),
         "rendering",
@@ -136,7 +136,7 @@ def _check(duration_s: float) -> None:
         )
 
 
-def _frame_times(factors: Factors, camera: Camera, scene: Scene, end: int) -> list[int]:
+def frame_times(factors: Factors, camera: Camera, scene: Scene, end: int) -> list[int]:
     """Times of the images, ns from 0 to `end`: no pixel moves by more than half a pixel."""
     truth = coarse_truth(camera, scene)
     speeds = []
@@ -206,12 +206,13 @@ def _events(factors: Factors, camera: Camera, times: list[int], frames: Iterator
     first = next(frames)
     receptor = Photoreceptor(factors.lowpass_hz, first)
     pixels = EventPixels(sensor, first, times[0], factors.generator("pixels"))
+    # A leaking pixel sees the light rise all the time, by one threshold for each leak event.
     leak = factors.leak_hz * pixels.thresholds[0]
     parts = []
     for (before, t), image in zip(pairwise(times), frames, strict=True):
         seconds = (t - before) / NS_PER_S
-        parts.append(pixels.advance(receptor.advance(image, seconds), t))
-        pixels.level -= leak * seconds
+        held = receptor.advance(image, seconds) + leak * (t / NS_PER_S)
+        parts.append(pixels.advance(held.astype(np.float32), t))
     shape, end = (camera.height, camera.width), times[-1]
     noise = factors.generator("noise")
     parts.append(background_noise(factors.noise_hz, shape, 0, end, noise))
