@@ -1,0 +1,101 @@
+"""Random recordings by seed, simulated once and kept on disk."""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._scoring import SimulatedTruth
+from benchmarks.scoreboard.subjects import Material, Subject
+from benchmarks.scoreboard.summary import flatten
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.offline.truth import Truth
+
+DURATION_S = 3.0
+# Part of the names of cached files. Count on whenever the same factors give other events.
+SIMULATOR_VERSION = 1
+_MODULE = "emoflow_ros.simulation.random_recording"
+
+
+@dataclass(frozen=True)
+class RandomSubject:
+    """The random recording of a seed.
+
+    Attributes:
+        seed: of its factors.
+        cache: folder of recordings that were simulated before.
+        duration_s: length.
+    """
+
+    seed: int
+    cache: Path
+    duration_s: float = DURATION_S
+    group: str = "random"
+
+    @property
+    def name(self) -> str:
+        """The group and the seed."""
+        return f"{self.group}/{self.seed:04d}"
+
+    @property
+    def missing(self) -> Path | None:
+        """Nothing: it is simulated."""
+        return None
+
+    def load(self) -> Material:
+        """Read the events from the cache, or simulate them and put them there."""
+        from emoflow_ros.simulation.random_recording import draw_factors, random_truth
+
+        factors = draw_factors(self.seed)
+        path = self.cache / f"{self.seed:04d}-{self._digest(factors.as_dict())}.npz"
+        if not path.exists():
+            self._simulate(factors, path)
+        events, camera, calibration = _read(path)
+        truth = SimulatedTruth(random_truth(factors, duration_s=self.duration_s))
+        return Material(
+            events, camera, calibration, Truth(truth, truth), factors=flatten(factors.as_dict())
+        )
+
+    def _digest(self, factors: dict[str, Any]) -> str:
+        text = json.dumps([SIMULATOR_VERSION, self.duration_s, factors], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+    def _simulate(self, factors: Any, path: Path) -> None:
+        """Write the recording in one step, so that the cache never holds a part of one."""
+        from emoflow_ros.simulation.random_recording import simulate_random
+
+        recording = simulate_random(factors, duration_s=self.duration_s)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(f".{os.getpid()}.partial")
+        cameras = [asdict(recording.camera), asdict(recording.calibration)]
+        events = recording.events
+        with partial.open("wb") as file:
+            np.savez_compressed(
+                file, x=events.x, y=events.y, t=events.t, p=events.p, cameras=json.dumps(cameras)
+            )
+        partial.replace(path)
+
+
+def random_subjects(seeds: Iterable[int], cache: Path) -> list[Subject]:
+    """List the random recordings of some seeds; none where the simulator has no such."""
+    if find_spec(_MODULE) is None:
+        return []
+    return [RandomSubject(seed, cache) for seed in seeds]
+
+
+def _read(path: Path) -> tuple[Events, Camera, Camera]:
+    with np.load(path) as archive:
+        events = Events(archive["x"], archive["y"], archive["t"], archive["p"])
+        true, told = json.loads(str(archive["cameras"]))
+    return events, _camera(true), _camera(told)
+
+
+def _camera(fields: dict[str, Any]) -> Camera:
+    return Camera(**{**fields, "distortion": tuple(fields["distortion"])})
