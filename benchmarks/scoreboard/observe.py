@@ -21,7 +21,7 @@ from emoflow_ros.offline.truth import TrueFlow, TrueTwist
 SECOND_START_S = 0.37
 _SHORT = 3  # the second start leaves out at most this part of a recording, 1/3
 _MIN_PARALLAX_PX = 0.5  # below, the image does not tell where the camera travels to
-_MIN_SPEED = 1e-3  # m/s; below, parallax is the rounding of flow maps
+_MIN_SPEED = 1e-3  # m/s
 
 Pixels = NDArray[np.intp]
 
@@ -61,7 +61,8 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
     ok = estimate.status is Status.OK
     twist = material.truth.twists.twist(estimate.t) if material.truth.twists else None
     moved, parallax = _true_motion(window, material)
-    direction = _true_direction(twist, parallax)
+    if not _travels(twist):
+        parallax = 0.0  # else it is the rounding of flow maps
     truth_px, epe_px = _flow_error(part, estimate, material)
     nothing = np.full(3, np.nan)
     claims_linear = estimate.translation_observable
@@ -74,26 +75,30 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
         "model": str(estimate.model),
         "ok": ok,
         "moved_px": moved,
-        "parallax_px": parallax
-        if parallax < _MIN_PARALLAX_PX or np.isfinite(direction).all()
-        else 0.0,
+        "parallax_px": parallax,
         "truth_px": truth_px,
         "epe_px": epe_px,
         "angular": estimate.angular if ok else nothing,
         "true_angular": twist.angular if twist is not None else nothing,
         "angular_covariance": estimate.covariance[3:, 3:] if ok else math.nan,
         "linear": estimate.linear if claims_linear else nothing,
-        "true_linear": direction,
+        "true_linear": _true_direction(twist, parallax),
         "linear_covariance": estimate.covariance[:3, :3] if claims_linear else math.nan,
     }
 
 
+def _travels(twist: TrueTwist | None) -> bool:
+    """Whether the truth tells a translation."""
+    if twist is None or twist.linear is None:
+        return False
+    return float(np.linalg.norm(twist.linear)) > _MIN_SPEED
+
+
 def _true_direction(twist: TrueTwist | None, parallax: float) -> NDArray[np.float64]:
-    """Unit direction (3,) of travel; NaN where the truth tells none or the image cannot."""
+    """Unit direction (3,) of travel; NaN where the image cannot tell it."""
     if twist is None or twist.linear is None or not parallax >= _MIN_PARALLAX_PX:
         return np.full(3, np.nan)
-    speed = float(np.linalg.norm(twist.linear))
-    return twist.linear / speed if speed > _MIN_SPEED else np.full(3, np.nan)
+    return twist.linear / float(np.linalg.norm(twist.linear))
 
 
 def _true_motion(window: Window, material: Material) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """Observe recordings in several processes, and write down what came out."""
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.scoreboard.figures import Figures, figures_of
+from benchmarks.scoreboard.figures import W_DEG_S, W_SHARE, Figures, figures_of
 from benchmarks.scoreboard.observe import observe
 from benchmarks.scoreboard.picture import event_picture
 from benchmarks.scoreboard.subjects import Subject
@@ -96,6 +97,14 @@ def save_windows(folder: Path, outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         path = folder / WINDOWS_FOLDER / f"{file_name(outcome.name)}.npz"
         np.savez_compressed(path, windows=outcome.windows)
+
+
+def severity(outcome: Outcome) -> tuple[float, float]:
+    """Sort key, the worst recordings last: criteria missed, then w's error over its bound."""
+    figures = outcome.figures
+    bound = max(W_DEG_S, W_SHARE * figures.w_true_rms) if figures.estimates else W_DEG_S
+    error = figures.w_rms / bound
+    return len(outcome.verdict.missed), error if math.isfinite(error) else 0.0
 
 
 def file_name(name: str) -> str:
