@@ -94,7 +94,7 @@ def _draw_flow(axis: Axes, windows: Windows, seconds: NDArray[np.float64]) -> No
     moved = windows["moved_px"][order]
     axis.plot(seconds[order], moved, color="black", lw=1.2, label="true way of the image")
     axis.set(xlabel="time from the first event, s", ylabel="px")
-    axis.set_yscale("symlog", linthresh=1.0)
+    axis.set_ylim(bottom=0.0)
     axis.legend(loc="best", fontsize=8)
 
 
