@@ -13,7 +13,6 @@ import numpy as np
 
 from benchmarks._scoring import SimulatedTruth
 from benchmarks.scoreboard.subjects import Material, Subject
-from benchmarks.scoreboard.summary import flatten
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.offline.truth import Truth
@@ -59,9 +58,8 @@ class RandomSubject:
             self._simulate(factors, path)
         events, camera, calibration = _read(path)
         truth = SimulatedTruth(random_truth(factors, duration_s=self.duration_s))
-        return Material(
-            events, camera, calibration, Truth(truth, truth), factors=flatten(factors.as_dict())
-        )
+        told = {name: value for name, value in factors.as_dict().items() if name != "seed"}
+        return Material(events, camera, calibration, Truth(truth, truth), factors=told)
 
     def _digest(self, factors: dict[str, Any]) -> str:
         text = json.dumps([SIMULATOR_VERSION, self.duration_s, factors], sort_keys=True)

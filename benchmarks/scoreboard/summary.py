@@ -1,6 +1,6 @@
 """A run as one document: rates by group, by criterion and by factor."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,7 +12,7 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.offline.provenance import machine, versions
 
 FORMAT = 1
-_PARTS = ("low", "middle", "high")
+_PARTS = 3
 
 
 def summarise(
@@ -85,7 +85,7 @@ def _order(
 def _labels(values: Sequence[Any]) -> Callable[[Any], str]:
     """Choose how a factor's values are grouped: by tercile, or each for itself."""
     numbers = [float(value) for value in values if _is_number(value)]
-    if len(numbers) < len(values) or len(set(numbers)) <= len(_PARTS):
+    if len(numbers) < len(values) or len(set(numbers)) <= _PARTS:
         return lambda value: f"{value:.4g}" if _is_number(value) else str(value)
     edges = np.quantile(numbers, [1 / 3, 2 / 3])
     low, high = min(numbers), max(numbers)
@@ -93,7 +93,8 @@ def _labels(values: Sequence[Any]) -> Callable[[Any], str]:
 
     def tercile(value: Any) -> str:
         part = int(np.searchsorted(edges, value, side="left"))
-        return f"{bounds[part]:.3g} to {bounds[part + 1]:.3g}"
+        first, last = f"{bounds[part]:.3g}", f"{bounds[part + 1]:.3g}"
+        return first if first == last else f"{first} to {last}"
 
     return tercile
 
@@ -104,16 +105,3 @@ def _is_number(value: Any) -> bool:
 
 def _groups(outcomes: Sequence[Outcome]) -> list[str]:
     return list(dict.fromkeys(outcome.group for outcome in outcomes))
-
-
-def flatten(factors: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Give nested factors dotted names; lists become words."""
-    flat: dict[str, Any] = {}
-    for key, value in factors.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{key}.")
-        elif isinstance(value, list | tuple):
-            flat[prefix + key] = ", ".join(map(str, value))
-        else:
-            flat[prefix + key] = value
-    return flat
