@@ -169,7 +169,7 @@ def _difference(
     values = np.array([[value(a), value(b)] for a, b in pairs])
     first, second = values[np.isfinite(values).all(axis=1)].T
     if not len(first):
-        return Difference(label, *[math.nan] * 5, recordings=0)
+        return Difference(label, math.nan, math.nan, math.nan, math.nan, math.nan, 0)
     a, b = float(statistic(first)), float(statistic(second))
     low, high = _interval(first, second, statistic)
     return Difference(label, a, b, b - a, low, high, len(first))

@@ -242,7 +242,7 @@ def _rms(values: Values) -> float:
 
 def _share(mask: Mask) -> float:
     """Share of true values, percent."""
-    return 100.0 * _over(np.mean, mask)
+    return 100.0 * _over(np.mean, mask.astype(np.float64))
 
 
 def _percent(part: float, whole: float) -> float:

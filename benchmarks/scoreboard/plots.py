@@ -19,32 +19,31 @@ def motion_figure(windows: Windows) -> Figure:
     Bars are 2 claimed standard deviations; both starts share the truth, in black.
     """
     figure = Figure(figsize=(11, 9), layout="constrained")
-    mosaic = [[f"w{axis}", f"v{axis}"] for axis in _AXES] + [["epe", "epe"]]
-    axes = figure.subplot_mosaic(mosaic, sharex=True)
+    axes: dict[str, Axes] = figure.subplot_mosaic("ad;be;cf;gg", sharex=True)
     origin = int(windows["t_begin"].min()) if len(windows) else 0
     seconds = ((windows["t_start"] + windows["t_end"]) / 2 - origin) / _NS_PER_S
     degrees = np.degrees(1)
     for k, axis in enumerate(_AXES):
         sigma = degrees * _sigma(windows["angular_covariance"], k)
         w, true = degrees * windows["angular"][:, k], degrees * windows["true_angular"][:, k]
-        _draw(axes[f"w{axis}"], windows, seconds, w, sigma, true)
-        axes[f"w{axis}"].set_ylabel(f"w {axis}, deg/s")
+        _draw(axes["abc"[k]], windows, seconds, w, sigma, true)
+        axes["abc"[k]].set_ylabel(f"w {axis}, deg/s")
         sigma = _sigma(windows["linear_covariance"], k)
         _draw(
-            axes[f"v{axis}"],
+            axes["def"[k]],
             windows,
             seconds,
             windows["linear"][:, k],
             sigma,
             windows["true_linear"][:, k],
         )
-        axes[f"v{axis}"].set(ylabel=f"v {axis}, unit", ylim=(-1.3, 1.3))
-    _draw_flow(axes["epe"], windows, seconds)
-    axes["wx"].set_title("angular velocity")
-    axes["vx"].set_title("direction of travel")
-    axes["wx"].legend(loc="best", fontsize=8)
-    for axis in axes.values():
-        axis.grid(alpha=0.3)
+        axes["def"[k]].set(ylabel=f"v {axis}, unit", ylim=(-1.3, 1.3))
+    _draw_flow(axes["g"], windows, seconds)
+    axes["a"].set_title("angular velocity")
+    axes["d"].set_title("direction of travel")
+    axes["a"].legend(loc="best", fontsize=8)
+    for each in axes.values():
+        each.grid(alpha=0.3)
     return figure
 
 
