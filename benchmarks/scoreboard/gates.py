@@ -17,6 +17,7 @@ import yaml
 
 from benchmarks.scoreboard.figures import Figures, figures_of
 from benchmarks.scoreboard.observe import observe
+from benchmarks.scoreboard.random_subjects import RandomSubject
 from benchmarks.scoreboard.scene_subjects import SceneSubject
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros import __version__
@@ -70,11 +71,10 @@ def gate_subjects(data: Path = SHARED_DATA) -> list[Subject]:
         SceneSubject("calm", 3, 0.5),
         SceneSubject("forward", 3, 0.5),
         SceneSubject("agile", 3, 0.4),
-        SceneSubject("noisy", 3, 0.5),
-        SceneSubject("driving", 3, 0.4),
     ]
+    random = [RandomSubject(seed, None, duration_s=0.6) for seed in (8, 15)]
     real = [s for s in shared_subjects(data) if s.name == "real/shapes_rotation_start"]
-    return [*scenes, *real]
+    return [*scenes, *random, *real]
 
 
 def measure(subject: Subject) -> dict[str, float]:

@@ -5,7 +5,6 @@ import json
 import os
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,16 @@ from benchmarks.scoreboard.subjects import Material, Subject
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.offline.truth import Truth
+from emoflow_ros.simulation.random_recording import (
+    Factors,
+    draw_factors,
+    random_truth,
+    simulate_random,
+)
 
 DURATION_S = 3.0
 # Part of the names of cached files. Count on whenever the same factors give other events.
 SIMULATOR_VERSION = 1
-_MODULE = "emoflow_ros.simulation.random_recording"
 
 
 @dataclass(frozen=True)
@@ -29,12 +33,12 @@ class RandomSubject:
 
     Attributes:
         seed: of its factors.
-        cache: folder of recordings that were simulated before.
+        cache: folder of recordings that were simulated before; None simulates each time.
         duration_s: length.
     """
 
     seed: int
-    cache: Path
+    cache: Path | None
     duration_s: float = DURATION_S
     group: str = "random"
 
@@ -50,25 +54,26 @@ class RandomSubject:
 
     def load(self) -> Material:
         """Read the events from the cache, or simulate them and put them there."""
-        from emoflow_ros.simulation.random_recording import draw_factors, random_truth
-
         factors = draw_factors(self.seed)
-        path = self.cache / f"{self.seed:04d}-{self._digest(factors.as_dict())}.npz"
-        if not path.exists():
-            self._simulate(factors, path)
-        events, camera, calibration = _read(path)
+        if self.cache is None:
+            made = simulate_random(factors, duration_s=self.duration_s)
+            events, camera, calibration = made.events, made.camera, made.calibration
+        else:
+            path = self.cache / f"{self.seed:04d}-{self._digest(factors)}.npz"
+            if not path.exists():
+                self._simulate(factors, path)
+            events, camera, calibration = _read(path)
         truth = SimulatedTruth(random_truth(factors, duration_s=self.duration_s))
         told = {name: value for name, value in factors.as_dict().items() if name != "seed"}
         return Material(events, camera, calibration, Truth(truth, truth), factors=told)
 
-    def _digest(self, factors: dict[str, Any]) -> str:
-        text = json.dumps([SIMULATOR_VERSION, self.duration_s, factors], sort_keys=True)
+    def _digest(self, factors: Factors) -> str:
+        made_from = [SIMULATOR_VERSION, self.duration_s, factors.as_dict()]
+        text = json.dumps(made_from, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
-    def _simulate(self, factors: Any, path: Path) -> None:
+    def _simulate(self, factors: Factors, path: Path) -> None:
         """Write the recording in one step, so that the cache never holds a part of one."""
-        from emoflow_ros.simulation.random_recording import simulate_random
-
         recording = simulate_random(factors, duration_s=self.duration_s)
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(f".{os.getpid()}.partial")
@@ -82,9 +87,7 @@ class RandomSubject:
 
 
 def random_subjects(seeds: Iterable[int], cache: Path) -> list[Subject]:
-    """List the random recordings of some seeds; none where the simulator has no such."""
-    if find_spec(_MODULE) is None:
-        return []
+    """List the random recordings of some seeds."""
     return [RandomSubject(seed, cache) for seed in seeds]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scoreboard_tables import random_table, row
 
-from benchmarks.scoreboard import report
+from benchmarks.scoreboard import random_subjects, report
 from benchmarks.scoreboard.__main__ import _seeds
 from benchmarks.scoreboard.figures import figures_of
 from benchmarks.scoreboard.picture import event_picture
@@ -94,18 +94,16 @@ def test_seeds_are_a_range(text):
 
 
 def test_random_recordings_are_simulated_once(tmp_path, monkeypatch):
-    module = pytest.importorskip("emoflow_ros.simulation.random_recording")
     calls = []
-    simulate = module.simulate_random
-    draw = module.draw_factors
+    simulate, draw = random_subjects.simulate_random, random_subjects.draw_factors
 
     def counted(factors, **options):
         calls.append(factors)
         return simulate(factors, **options)
 
-    monkeypatch.setattr(module, "simulate_random", counted)
+    monkeypatch.setattr(random_subjects, "simulate_random", counted)
     fixed = {"sensor": "240x180", "image_motion": "2", "calibration_error": "0.02"}
-    monkeypatch.setattr(module, "draw_factors", lambda seed: draw(seed, fixed))
+    monkeypatch.setattr(random_subjects, "draw_factors", lambda seed: draw(seed, fixed))
     first, second = (RandomSubject(7, tmp_path, duration_s=0.1).load() for _ in range(2))
     assert len(calls) == 1
     assert len(list(tmp_path.iterdir())) == 1
@@ -113,5 +111,6 @@ def test_random_recordings_are_simulated_once(tmp_path, monkeypatch):
     assert first.calibration == second.calibration != first.camera
     assert first.factors["image_motion"] == 2
     assert "seed" not in first.factors
-    RandomSubject(7, tmp_path, duration_s=0.12).load()
+    uncached = RandomSubject(7, None, duration_s=0.1).load()
+    np.testing.assert_array_equal(uncached.events.t, first.events.t)
     assert len(calls) == 2
