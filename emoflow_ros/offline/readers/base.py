@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
@@ -52,6 +53,15 @@ class Recording(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
+    if values.dtype == np.uint16:
+        return values
+    largest = np.iinfo(np.uint16).max
+    fits = (values >= 0) & (values < largest)
+    return np.where(fits, values, largest).astype(np.uint16)
 
 
 def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:
