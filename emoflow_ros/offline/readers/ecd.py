@@ -13,9 +13,16 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck, pixel_coordinates, trimmed
+from emoflow_ros.offline.readers.base import (
+    StreamCheck,
+    pixel_coordinates,
+    refuse_imu_topic,
+    trimmed,
+)
+from emoflow_ros.offline.readers.imu import Imu, read_imu_text
 
 _EVENTS = "events.txt"
+IMU_FILE = "imu.txt"
 _OUTSIDE = np.iinfo(np.uint16).max
 _CHUNK_BYTES = 4 << 20  # about 200 000 events
 _ROW = "a line is 't x y p': seconds, pixel column, pixel row, 0 or 1"
@@ -64,6 +71,12 @@ class EcdRecording:
             while text := lines.read(_CHUNK_BYTES):
                 yield check(self._parse(text + lines.readline()))
         check.finish()
+
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Read `imu.txt` in the folder, where it is there; see Recording."""
+        refuse_imu_topic(self.path, topic)
+        file = self.path / IMU_FILE
+        return read_imu_text(file) if file.is_file() else None
 
     def __enter__(self) -> Self:
         return self

@@ -20,9 +20,9 @@ from emoflow_ros.offline.truth.poses import TAKEN_AS_CAMERA, PoseTrack, PoseTwis
 _ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_TYPES = ("geometry_msgs/msg/PoseStamped", _ODOMETRY)  # the best first
 _POSE_NAME = "pose"  # of the camera's own topic
-_IMAGE = "sensor_msgs/msg/Image"
+IMAGE = "sensor_msgs/msg/Image"
 # On the event camera's own (distorted) pixel grid; and without distortion, with the same K.
-_DEPTH_NAMES = ("depth_image_raw", "depth_image_rect")
+DEPTH_NAMES = ("depth_image_raw", "depth_image_rect")
 
 
 def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
@@ -42,7 +42,7 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
     topic = _choose_poses(path, reader, namespace)
     track, note = _read_track(path, reader, [c for c in reader.connections if c.topic == topic])
     twists = PoseTwist(track, f"{path.name}{topic}", note)
-    depth = _choose(path, reader, namespace, _IMAGE, _DEPTH_NAMES)
+    depth = _choose(path, reader, namespace, IMAGE, DEPTH_NAMES)
     if depth is None:
         stack.close()
         return Truth(twists, poses=track)

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.text_table import read_stamped, read_table
+from emoflow_ros.offline.readers.imu import read_imu_text
+from emoflow_ros.offline.text_table import read_table
 from emoflow_ros.offline.truth.base import TrueTwist, Truth
 from emoflow_ros.offline.truth.rotation import ConstantRotation
 
@@ -34,8 +35,8 @@ def load_gyro(path: Path, camera: Camera) -> Truth:
     Raises:
         InputError: lines of another length.
     """
-    stamps, rows = read_stamped(path, 7, "t ax ay az gx gy gz")
-    return Truth(GyroTwist(stamps, rows[:, 3:], path.name))
+    imu = read_imu_text(path)
+    return Truth(GyroTwist(imu.t, imu.angular, imu.name))
 
 
 class GyroTwist:

@@ -10,7 +10,7 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.text_table import read_table, require_increasing
 from emoflow_ros.offline.truth.base import Truth
-from emoflow_ros.offline.truth.poses import TAKEN_AS_CAMERA, PoseTwist, pose_track
+from emoflow_ros.offline.truth.poses import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, pose_track
 
 _LAYOUT = "t tx ty tz qx qy qz qw"
 _COLUMNS = 8
@@ -33,7 +33,7 @@ def is_tum(path: Path) -> bool:
         return False
 
 
-def load_poses(path: Path, camera: Camera) -> Truth:
+def read_poses(path: Path) -> PoseTrack:
     """Read poses as world-from-camera, in m; t is in s, us or ns, by the step between poses.
 
     Raises:
@@ -43,7 +43,12 @@ def load_poses(path: Path, camera: Camera) -> Truth:
     rows = read_table(path, _COLUMNS, _LAYOUT)
     stamps = np.rint(rows[:, 0] * _unit_ns(path, rows[:, 0])).astype(np.int64)
     require_increasing(path, stamps)
-    track = pose_track(path, stamps, rows[:, 1:4], rows[:, 4:])
+    return pose_track(path, stamps, rows[:, 1:4], rows[:, 4:])
+
+
+def load_poses(path: Path, camera: Camera) -> Truth:
+    """Take the velocity from a file's poses; see `read_poses`."""
+    track = read_poses(path)
     return Truth(PoseTwist(track, path.name, TAKEN_AS_CAMERA), poses=track)
 
 
