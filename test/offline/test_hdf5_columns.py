@@ -182,15 +182,19 @@ TIMES = np.arange(3000) / RATE + 0.25  # s
         (US, np.rint(TIMES * 1e6).astype(np.int64) // 1000 * 1000, {"milliseconds": 280}),
         (US, np.rint(TIMES[:30] * 1e6).astype(np.int64) + 10**15, {"milliseconds": 2}),
         (S, TIMES / 100, {"milliseconds": 1}),
-        # A simulator's milliseconds, in microseconds: 1e8 events per second as nanoseconds.
-        (US, np.repeat(np.arange(30) * 1000, 4000), {}),
+        # A simulator's milliseconds, in microseconds: 4e7 events per second as nanoseconds.
+        (US, np.repeat(np.arange(30) * 1000, 40), {}),
+        # Those of 1000 events per second, and more than an hour: 32 bits hold no nanoseconds.
+        (US, (np.arange(3000) * 1000).astype(np.uint32), {}),
+        (US, np.linspace(0, 4e9, 5_000_000)[::1000].astype(np.uint32), {"count": 5_000_000}),
         # Declared, against what else would count.
         (MS, TIMES * 1e3, {"attributes": {"unit": "ms"}}),
         (NS, TIMES, {"attributes": {"units": b"Nanoseconds"}}),
     ],
 )
 def test_unit_of_time(unit, t, more):
-    clues = Clues(Path("a.h5"), more.get("attributes", {}), t, len(t), more.get("milliseconds", 0))
+    count, index = more.get("count", len(t)), more.get("milliseconds", 0)
+    clues = Clues(Path("a.h5"), more.get("attributes", {}), t, count, index)
     assert unit_ns(clues) == unit
 
 

@@ -8,7 +8,8 @@ What decides, in this order:
 3. Times of day since 1970: above 1e17 they are nanoseconds, above 1e14 microseconds.
 4. Floating-point values with at least one event per unit of time are seconds.
 5. Of the others, nanoseconds are those that would span more than an hour as microseconds, and whole
-   thousands (event cameras count microseconds) of at most 1e8 events per second.
+   thousands (event cameras count microseconds) of at most 3e7 events per second; but no 32-bit
+   integers, which hold 4 s of them.
 6. Microseconds are those of at least 1000 events per second.
 
 All else is refused.
@@ -33,7 +34,8 @@ _WORDS = {
 _ATTRIBUTES = ("unit", "units")
 _EPOCH_NS, _EPOCH_US = 1e17, 1e14
 _HOUR_US = 3_600_000_000
-_MIN_RATE, _MAX_RATE = 1e3, 1e8  # events/s, mean of a recording
+_MIN_RATE, _MAX_RATE = 1e3, 3e7  # events/s, mean of a recording
+_BYTES = 8  # of a number that can hold nanoseconds
 _TOLERANCE = 10.0  # units are a factor of 1000 apart
 _FIX = "give the column t an attribute 'unit': s, us or ns"
 
@@ -114,7 +116,9 @@ def _from_rate(clues: Clues) -> int | None:
     values, span = clues.sample, clues.span
     if values.dtype.kind == "f" and clues.count >= span:
         return NS_PER_S
-    if span > _HOUR_US or (clues.count * 1e9 <= _MAX_RATE * span and _are_thousands(values)):
+    if values.dtype.itemsize == _BYTES and (
+        span > _HOUR_US or (clues.count * 1e9 <= _MAX_RATE * span and _are_thousands(values))
+    ):
         return 1
     return 1000 if clues.count * 1e6 >= _MIN_RATE * span else None
 
