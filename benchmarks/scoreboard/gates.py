@@ -72,7 +72,7 @@ def gate_subjects(data: Path = SHARED_DATA) -> list[Subject]:
         SceneSubject("forward", 3, 0.5),
         SceneSubject("agile", 3, 0.4),
     ]
-    random = [RandomSubject(seed, None, duration_s=0.6) for seed in (8, 15)]
+    random = [RandomSubject(seed, None, duration_s=0.6) for seed in (12, 15)]
     real = [s for s in shared_subjects(data) if s.name == "real/shapes_rotation_start"]
     return [*scenes, *random, *real]
 
