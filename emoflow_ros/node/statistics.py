@@ -10,6 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.node.memory import resident_mb
 from emoflow_ros.node.tasks import Loss, Result, Task
 
@@ -70,6 +71,8 @@ class Statistics:
         self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)
         self._last_result: Result | None = None
         self._last_loss = ""
+        self._dropped = DistinctEvents()
+        self._dropped_epoch: int | None = None
         self._last_event = clock()
         self._reported = (clock(), Counter[str]())
 
@@ -87,9 +90,16 @@ class Statistics:
         self._last_result = result
 
     def add_dropped(self, task: Task) -> None:
-        """Count a window that had to make room for newer ones, and its events."""
+        """Count a window that had to make room for newer ones, and its events.
+
+        Events that another dropped window held, too, are counted once.
+        """
+        if task.epoch != self._dropped_epoch:
+            self._dropped_epoch = task.epoch
+            self._dropped.start_anew()
+        self._dropped.add(task.window)
         self.counts["windows_dropped"] += 1
-        self.counts["events_dropped"] += len(task.window.events)
+        self.counts["events_dropped"] = self._dropped.count
 
     def add_loss(self, loss: Loss) -> None:
         """Count a window or a worker that was lost, or both."""

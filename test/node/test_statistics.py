@@ -86,9 +86,10 @@ def test_silence_warns_until_events_come(clock: Clock) -> None:
 
 def test_loss_warns_once(clock: Clock) -> None:
     statistics = Statistics(clock)
-    task = Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0)
-    for _ in range(3):
-        statistics.add_dropped(task)
+    events = some_events(12)
+    for first in (0, 4, 8):
+        window = Window(first, first + 4, events[first : first + 4])
+        statistics.add_dropped(Task(window, 0, 0, "", 0.0))
     report = statistics.report(2.0)
     assert report.level is Level.WARN
     assert report.message == (
@@ -97,6 +98,17 @@ def test_loss_warns_once(clock: Clock) -> None:
     )
     assert (report.values["windows_dropped"], report.values["events_dropped"]) == ("3", "12")
     assert statistics.report(2.0).level is Level.OK
+
+
+def test_events_of_dropped_windows_count_once(clock: Clock) -> None:
+    """Windows that overlap, a gap, and the same times again after a jump back."""
+    statistics = Statistics(clock)
+    events = some_events(100)
+    for first, last, epoch in ((0, 40, 0), (20, 60, 0), (80, 100, 0), (0, 40, 1)):
+        window = Window(first, last, events[first:last])
+        statistics.add_dropped(Task(window, epoch, 0, "", 0.0))
+    values = statistics.report(2.0).values
+    assert (values["windows_dropped"], values["events_dropped"]) == ("4", "120")
 
 
 def test_lost_worker_warns_with_the_reason(clock: Clock) -> None:

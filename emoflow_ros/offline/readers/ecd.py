@@ -13,11 +13,19 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck, to_ns, to_pixels, trimmed
+from emoflow_ros.offline.readers.base import (
+    StreamCheck,
+    pixel_coordinates,
+    refuse_imu_topic,
+    to_ns,
+    trimmed,
+)
+from emoflow_ros.offline.readers.imu import Imu, read_imu_text
 
 _EVENTS = "events.txt"
-_CHUNK_BYTES = 4 << 20  # about 200 000 events
+IMU_FILE = "imu.txt"
 _OUTSIDE = np.iinfo(np.uint16).max
+_CHUNK_BYTES = 4 << 20  # about 200 000 events
 _ROW = "a line is 't x y p': seconds, pixel column, pixel row, 0 or 1"
 
 
@@ -64,6 +72,12 @@ class EcdRecording:
             while text := lines.read(_CHUNK_BYTES):
                 yield check(self._parse(_text(self._file, text + lines.readline())))
         check.finish()
+
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Read `imu.txt` in the folder, where it is there; see Recording."""
+        refuse_imu_topic(self.path, topic)
+        file = self.path / IMU_FILE
+        return read_imu_text(file) if file.is_file() else None
 
     def __enter__(self) -> Self:
         return self
@@ -114,7 +128,7 @@ class EcdRecording:
         if not np.isfinite(rows).all():
             raise InputError(self._file, "holds values that are not finite", _ROW)
         t, x, y, p = rows.T
-        return Events(to_pixels(x), to_pixels(y), to_ns(self._file, t), p > 0)
+        return Events(pixel_coordinates(x), pixel_coordinates(y), to_ns(self._file, t), p > 0)
 
 
 def _text(path: Path, line: bytes) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import to_ns, to_pixels
+from emoflow_ros.offline.readers.base import pixel_coordinates, to_ns
 from emoflow_ros.offline.readers.file_recording import FileRecording
 from emoflow_ros.offline.readers.hdf5 import (
     CHUNK,
@@ -71,7 +71,7 @@ class MvsecRecording(FileRecording):
             start = row_before(count, lambda row: int(self._ns(self._table[row, _T])), since)
             for first in range(start, count, CHUNK):
                 rows = self._table[first : first + CHUNK]
-                x, y = to_pixels(rows[:, _X]), to_pixels(rows[:, _Y])
+                x, y = pixel_coordinates(rows[:, _X]), pixel_coordinates(rows[:, _Y])
                 yield Events(x, y, self._ns(rows[:, _T]), rows[:, _P] > 0)
 
     def _ns(self, seconds: Any) -> Any:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import to_ns, to_pixels
+from emoflow_ros.offline.readers.base import pixel_coordinates, to_ns
 from emoflow_ros.offline.readers.file_recording import FileRecording
 
 _UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
@@ -53,7 +53,8 @@ class NpzRecording(FileRecording):
             raise InputError(path, "arrays of different shapes", _LAYOUT)
         if any(a.dtype.kind not in "biuf" or not np.isfinite(a).all() for a in (x, y, t, p)):
             raise InputError(path, "values that are not finite numbers", _LAYOUT)
-        self._events = Events(to_pixels(x), to_pixels(y), _to_ns(path, t_name, t), p > 0)
+        times = _to_ns(path, t_name, t)
+        self._events = Events(pixel_coordinates(x), pixel_coordinates(y), times, p > 0)
         self.size = _size(path, arrays)
         if len(x):
             self.duration = (int(self._events.t[-1]) - int(self._events.t[0])) / NS_PER_S
