@@ -21,7 +21,6 @@ from pathlib import Path
 from types import FrameType
 
 import h5py
-import hdf5plugin
 import numpy as np
 
 FOLDER = Path(__file__).parent
@@ -180,7 +179,7 @@ def _dsec(folder: Path) -> Path:
     events = _make_events(300)
     with h5py.File(folder / "events.h5", "w") as file:
         for name, column in _columns(events):
-            file.create_dataset(f"events/{name}", data=column, chunks=(100,), **hdf5plugin.Blosc())
+            file.create_dataset(f"events/{name}", data=column, chunks=(100,), compression="gzip")
         file["t_offset"] = 5
     return folder / "events.h5"
 
@@ -188,6 +187,15 @@ def _dsec(folder: Path) -> Path:
 def _columns(events: Events) -> Iterator[tuple[str, np.ndarray]]:
     yield from (("x", events.x), ("y", events.y), ("t", (events.t // 1000).astype(np.uint32)))
     yield "p", events.p.astype(np.uint8)
+
+
+def _columns_file(folder: Path) -> Path:
+    events = _make_events(300)
+    with h5py.File(folder / "columns.h5", "w") as file:
+        for name, column in _columns(events):
+            file[f"prophesee/left/{name}"] = column
+        file["prophesee/left/calib/resolution"] = [32, 24]
+    return folder / "columns.h5"
 
 
 def _mvsec(folder: Path) -> Path:
@@ -231,6 +239,7 @@ FORMATS: dict[str, tuple[Callable[[Path], Path], Read]] = {
     "npz": (_npz, read_recording),
     "dsec": (_dsec, read_recording),
     "mvsec": (_mvsec, read_recording),
+    "hdf5": (_columns_file, read_recording),
     "ecd": (_ecd, read_recording),
     "calib_txt": (_text("calib.txt", CALIB), read_calibration),
     "calib_yaml": (_text("calib.yaml", YAML), read_calibration),

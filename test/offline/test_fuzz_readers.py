@@ -22,8 +22,9 @@ def test_damaged_files_of_every_format_end_in_one_line() -> None:
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr[-3000:]
     found = re.findall(r"^== (\S+): (\d+) files, (\d+) refused$", ran.stdout, re.MULTILINE)
-    assert {name for name, _, _ in found} >= {"ros1", "sqlite3", "mcap", "raw", "npz", "dsec"}
-    assert {name for name, _, _ in found} >= {"mvsec", "ecd", "calib_txt", "calib_yaml", "imu_txt"}
+    names = {name for name, _, _ in found}
+    assert names >= {"ros1", "sqlite3", "mcap", "raw", "npz", "dsec", "mvsec", "hdf5", "ecd"}
+    assert names >= {"calib_txt", "calib_yaml", "motion_txt", "imu_txt", "groundtruth_txt"}
     assert {count for _, count, _ in found} == {str(FILES)}
     assert sum(int(refused) for _, _, refused in found) > len(found) * FILES / 4
 
