@@ -1,15 +1,13 @@
 """Reader of bags: ROS 1 files and rosbag2 (sqlite3, mcap), without ROS."""
 
-import struct
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
-import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
@@ -20,23 +18,23 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers.bag_entry import log_time_before
+from emoflow_ros.offline.readers.bag_files import (
+    MAGIC,
+    check_magic,
+    has_usable_metadata,
+    refuse,
+    storage,
+    storage_files,
+)
 from emoflow_ros.offline.readers.bag_imu import choose_imu, read_imu
 from emoflow_ros.offline.readers.base import StreamCheck, trimmed
 from emoflow_ros.offline.readers.imu import Imu
 from emoflow_ros.offline.readers.unfinished import finished
 from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
-_STORAGE_SUFFIXES = (".db3", ".mcap")
-_MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
-_SQLITE_HEADER = 100
 _ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
 # Types whose times do not depend on messages before.
 _STANDALONE = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
-_REPAIR = {
-    ".bag": "repair it with 'rosbag reindex' or copy it again",
-    ".db3": "repair it with 'ros2 bag reindex' or copy it again",
-    ".mcap": "repair it with 'mcap recover' or copy it again",
-}
 
 
 class BagRecording:
@@ -61,7 +59,7 @@ class BagRecording:
     @staticmethod
     def matches(path: Path) -> bool:
         """Whether the path looks like a bag: by its suffix, or a folder with storage files."""
-        return path.suffix in _MAGIC or (path / "metadata.yaml").is_file() or any(_storage(path))
+        return path.suffix in MAGIC or (path / "metadata.yaml").is_file() or any(storage(path))
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, one message at a time."""
@@ -180,21 +178,21 @@ def open_bag(path: Path) -> Generator[AnyReader]:
     Raises:
         InputError: the file is missing, empty, truncated, not indexed or not a bag.
     """
-    files = [path] if path.is_file() else _storage_files(path)
+    files = [path] if path.is_file() else storage_files(path)
     store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_JAZZY)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         instead = {file: finished(file, folder) for file in files}
         for file in files:
-            _check_magic(instead[file] or file)
+            check_magic(instead[file] or file)
         cut = [file for file in files if instead[file]]
-        whole = not cut and _has_usable_metadata(path)
+        whole = not cut and has_usable_metadata(path)
         sources = [path] if whole else [instead[file] or file for file in files]
         # On damaged bytes rosbags passes on whatever the libraries below it raise.
         try:
             reader = stack.enter_context(_StandardTypesReader(sources, default_typestore=store))
         except Exception as error:
-            _refuse(files[0], error)
+            refuse(files[0], error)
         if cut:
             count = sum(connection.msgcount for connection in reader.connections)
             seconds = reader.duration / NS_PER_S
@@ -224,7 +222,7 @@ def read_messages(
         except StopIteration:
             return
         except Exception as error:
-            _refuse(path, error)
+            refuse(path, error)
         yield item
 
 
@@ -242,7 +240,7 @@ def deserialize(reader: AnyReader, connection: Connection, data: bytes) -> Any:
     try:
         return reader.deserialize(data, connection.msgtype)
     except Exception as error:  # as of opening
-        _refuse(Path(str(reader.paths[0])), error)
+        refuse(Path(str(reader.paths[0])), error)
 
 
 def _event_connection(path: Path, reader: AnyReader, topic: str | None) -> Connection:
@@ -263,63 +261,3 @@ def _event_connection(path: Path, reader: AnyReader, topic: str | None) -> Conne
     there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections}))
     fix = f"give one of {', '.join(sorted(known))}" if known else "give a bag with events"
     raise InputError(path, f"{wrong}; it holds {there or 'no topics'}", fix)
-
-
-def _storage(folder: Path) -> Iterator[Path]:
-    """Yield the storage files of a rosbag2 folder."""
-    if folder.is_dir():
-        yield from (f for f in folder.iterdir() if f.suffix in _STORAGE_SUFFIXES)
-
-
-def _storage_files(folder: Path) -> list[Path]:
-    """List the storage files in the order of recording (`name_0`, `name_1`, ... `name_10`)."""
-    if not folder.exists():
-        raise InputError(folder, "no such file or folder", "check the path")
-    files = sorted(_storage(folder), key=lambda f: (len(f.name), f.name))
-    if not files and not (folder / "metadata.yaml").is_file():
-        raise InputError(folder, "not a bag", "give a ROS 1 .bag, a rosbag2 folder, .mcap or .db3")
-    return files or [folder]
-
-
-def _check_magic(file: Path) -> None:
-    if file.is_dir():  # a folder of compressed storage files
-        return
-    magic = _MAGIC.get(file.suffix)
-    try:
-        with file.open("rb") as stream:
-            start = stream.read(_SQLITE_HEADER)
-    except OSError as error:
-        raise InputError(file, f"cannot be read ({error.strerror})", "check the file") from None
-    if not start:
-        raise InputError(file, "empty file", "record or copy it again")
-    if magic is None or not start.startswith(magic):
-        raise InputError(
-            file, "not a bag", "give a ROS 1 .bag, a rosbag2 folder, an .mcap or a .db3 file"
-        )
-    if file.suffix == ".db3" and _sqlite_size(start) > file.stat().st_size:
-        _refuse(file, EOFError("truncated"))
-
-
-def _sqlite_size(header: bytes) -> int:
-    """Bytes that a database says it has; SQLite reads missing ones as zeros (fileformat2)."""
-    if len(header) < _SQLITE_HEADER:
-        return _SQLITE_HEADER
-    page, changes, pages, valid_for = struct.unpack_from(">16xH6xII60xI", header)
-    return (65536 if page == 1 else page) * pages if changes == valid_for else 0
-
-
-def _has_usable_metadata(path: Path) -> bool:
-    """Whether metadata.yaml names its storage; some recorders leave that empty."""
-    if path.is_file():
-        return True
-    try:
-        metadata = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
-        return bool(metadata["rosbag2_bagfile_information"]["storage_identifier"])
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
-        return False
-
-
-def _refuse(file: Path, error: BaseException) -> NoReturn:
-    reason = " ".join(str(error).split()) or type(error).__name__
-    fix = _REPAIR.get(file.suffix, "repair it with 'ros2 bag reindex' or copy it again")
-    raise InputError(file, f"damaged bag ({reason.rstrip('.')})", fix) from None

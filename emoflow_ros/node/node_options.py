@@ -1,0 +1,181 @@
+"""The node's own options, typed, with unit, range and meaning; the estimation's are in `Config`."""
+
+import math
+from dataclasses import dataclass, field
+
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.validate_full_topic_name import validate_full_topic_name
+
+from emoflow_ros.core.clock import Timestamps
+from emoflow_ros.core.options import option
+from emoflow_ros.errors import InputError
+from msg_adapters import supported_types
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What the node listens to."""
+
+    type: str = option(
+        "", "message type of the topic `events`; empty takes the type that is published"
+    )
+    timestamps: str = option(
+        "fused",
+        "time of the output: the events' own times mapped to ROS time with their drift tracked "
+        "(fused), mapped by each message's stamp (header), or unchanged (sensor)",
+        choices=tuple(Timestamps),
+    )
+    queue_windows: int = option(
+        8, "windows that may wait for the worker; one more drops the oldest", minimum=1, maximum=100
+    )
+    silence_s: float = option(
+        2.0,
+        "without events for this long the diagnostics warn",
+        unit="s",
+        minimum=0.1,
+        maximum=3600.0,
+    )
+
+    def __post_init__(self) -> None:
+        if self.type and self.type not in supported_types():
+            raise InputError(
+                "input.type",
+                f"messages of type '{self.type}' hold no events",
+                f"use one of {', '.join(supported_types())}",
+            )
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Which camera the events come from."""
+
+    calibration_file: str = option(
+        "",
+        "camera_info YAML or ECD calib.txt, as a path, file:// or package:// URL; empty listens to "
+        "the topic `camera_info`",
+    )
+    frame_id: str = option(
+        "", "optical frame of the camera; empty takes the frame of the event messages"
+    )
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """How the node answers."""
+
+    timeout_s: float = option(
+        10.0,
+        "a worker without an answer after this long is replaced, the window is lost",
+        unit="s",
+        minimum=0.1,
+        maximum=600.0,
+    )
+    diagnostics_s: float = option(
+        1.0, "time between two diagnostics", unit="s", minimum=0.1, maximum=60.0
+    )
+    flow_color_max: float = option(
+        0.0,
+        "flow that `flow/color` shows in full colour, longer flow is darkened; 0 takes the 99th "
+        "percentile of each picture",
+        unit="px/s",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    flow_stride: int = option(
+        1,
+        "every so many-th pixel of every so many-th row is published on `flow/image`; 2 makes its "
+        "messages a quarter as large",
+        minimum=1,
+        maximum=64,
+    )
+    twist_rate: float = option(
+        0.0,
+        "twists per second on `egomotion/twist`, from the spline inside the windows; 0 gives one "
+        "per window, at its middle",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    tracks: int = option(
+        150, "points that `flow/tracks` follows, spread over the image", minimum=1, maximum=2000
+    )
+    target_frame: str = option(
+        "", "frame that twists are expressed in; empty is the camera's optical frame"
+    )
+    target_source: str = option(
+        "tf",
+        "rotation from the optical frame into output.target_frame: that of tf at the stamp, or "
+        "the parameters output.target_roll, output.target_pitch and output.target_yaw",
+        choices=("tf", "parameter"),
+    )
+    target_roll: float = option(
+        0.0,
+        "orientation of the optical frame in output.target_frame: roll about its x axis, first, "
+        "as in URDF",
+        unit="rad",
+        minimum=-math.tau,
+        maximum=math.tau,
+    )
+    target_pitch: float = option(
+        0.0, "then pitch about its y axis", unit="rad", minimum=-math.tau, maximum=math.tau
+    )
+    target_yaw: float = option(
+        0.0, "then yaw about its z axis", unit="rad", minimum=-math.tau, maximum=math.tau
+    )
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """How fast the camera travels, which its events do not show."""
+
+    source: str = option(
+        "none",
+        "scale of the linear velocity: none gives a unit direction, parameter multiplies it by "
+        "scale.speed, topic by the speed on scale.topic",
+        choices=("none", "parameter", "topic"),
+    )
+    speed: float = option(
+        1.0,
+        "speed of the camera, taken as exact, if scale.source is parameter",
+        unit="m/s",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    topic: str = option(
+        "odom",
+        "topic of the camera's speed if scale.source is topic: nav_msgs/Odometry, "
+        "geometry_msgs/TwistStamped or std_msgs/Float64, found from the graph",
+    )
+    max_age_s: float = option(
+        0.5,
+        "a window further than this from every speed on scale.topic gives a unit direction",
+        unit="s",
+        minimum=0.001,
+        maximum=60.0,
+    )
+
+    def __post_init__(self) -> None:
+        try:
+            validate_full_topic_name(expand_topic_name(self.topic, "node", "/"))
+        except (InvalidTopicNameException, ValueError):
+            raise InputError(
+                "scale.topic", f"'{self.topic}' is not the name of a topic", "correct the name"
+            ) from None
+
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """Options of the node itself; those of the estimation are in `Config`."""
+
+    autostart: bool = option(True, "configure and activate the node without being asked")
+    on_missing_device: str = option(
+        "cpu",
+        "where estimator.device is cuda and CUDA is missing or lost: estimate on the CPU, or "
+        "refuse to configure and, when lost, try again",
+        choices=("cpu", "refuse"),
+    )
+    input: InputOptions = field(default_factory=InputOptions)
+    camera: CameraOptions = field(default_factory=CameraOptions)
+    output: OutputOptions = field(default_factory=OutputOptions)
+    scale: ScaleOptions = field(default_factory=ScaleOptions)
