@@ -4,6 +4,10 @@ A driver stamps a message with the host's time when its first event arrived, whi
 time plus a delay that varies but is never negative. The smallest differences between stamp and
 sensor time therefore lie along the true offset (plus the smallest delay), and their slope over
 time is the drift of one clock against the other.
+
+A sensor whose times are ROS time already differs by the delay alone. That delay is left out, and
+what the difference does from then on is followed all the same: such a clock may have been set from
+the host's once, and drift.
 """
 
 from collections import deque
@@ -13,7 +17,7 @@ import numpy as np
 
 from emoflow_ros.core.windows import NS_PER_S
 
-# Event times closer than this to the stamps are ROS time already.
+# Stamps that are less than this after the event times show a delay, not another clock.
 SAME_CLOCK_NS = NS_PER_S
 
 _BUCKET_NS = NS_PER_S  # the smallest difference of each second is kept
@@ -51,7 +55,7 @@ class ClockMap:
         """Forget the offset, for example after a jump in time."""
         self.drift_ppm = 0.0
         self._first: int | None = None
-        self._identity = self._timestamps is Timestamps.SENSOR
+        self._delay = 0  # of a sensor on ROS time; 0 for another clock, which hides its own
         # The offset in use is `_held` at sensor time `_since` and moves from there towards the
         # line `_target` + `drift_ppm` * (t - `_reference`).
         self._since = self._held = self._reference = self._target = 0
@@ -60,16 +64,13 @@ class ClockMap:
 
     def observe(self, sensor: int, stamp: int) -> None:
         """Take the time of a message's first event and the message's stamp, both in ns."""
+        if self._timestamps is Timestamps.SENSOR:
+            return
         difference = stamp - sensor
         if self._first is None:
-            self._first = sensor
-            self._identity |= (
-                self._timestamps is Timestamps.FUSED and abs(difference) < SAME_CLOCK_NS
-            )
-            self._since = self._reference = sensor
-            self._held = self._target = difference
-        if self._identity:
-            return
+            self._first = self._since = self._reference = sensor
+            self._aim(difference)
+            self._held = self._target
         self._held = self.offset(sensor)
         self._since = max(self._since, sensor)
         if self._timestamps is Timestamps.HEADER:
@@ -79,8 +80,6 @@ class ClockMap:
 
     def offset(self, t: int) -> int:
         """ROS time minus sensor time at sensor time t, in ns."""
-        if self._identity:
-            return 0
         line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
         reach = round(self._slew * max(0, t - self._since))
         return self._held + min(max(line - self._held, -reach), reach)
@@ -100,7 +99,14 @@ class ClockMap:
         self._minima.append((sensor, difference))
         if len(self._minima) < _MIN_BUCKETS:
             self._reference = sensor
-            self._target = min(d for _, d in self._minima)
+            self._aim(min(d for _, d in self._minima))
+
+    def _aim(self, difference: int) -> None:
+        """Set the offset to move to; what is delay is decided anew until there is a slope."""
+        if len(self._minima) <= _MIN_BUCKETS:
+            same = self._timestamps is Timestamps.FUSED and 0 <= difference < SAME_CLOCK_NS
+            self._delay = difference if same else 0
+        self._target = difference - self._delay
 
     def _fit(self) -> None:
         """Fit the line through the minima of the finished seconds (Theil-Sen)."""
@@ -113,4 +119,4 @@ class ClockMap:
         i, j = np.triu_indices(len(t), 1)
         slope = float(np.median((d[j] - d[i]) / (t[j] - t[i])))
         self.drift_ppm = slope * 1e6
-        self._target = base + round(float(np.median(d - slope * t)))
+        self._aim(base + round(float(np.median(d - slope * t))))
