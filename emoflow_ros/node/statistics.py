@@ -32,7 +32,9 @@ _WARNINGS = {
 _ALSO_COUNTED = (
     *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
 )
-# Problems of these parts cost no estimate: whatever else is as bad counts more.
+# Parts that have problems, first those whose problems cost most. Of the latter whatever else is as
+# bad costs more: there are estimates nevertheless.
+_PARTS = ("worker", "input", "qos", "camera", "frame")
 _MILD = ("scale", "device")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)
@@ -124,7 +126,13 @@ class Statistics:
         self._last_loss = loss.reason
 
     def set_problem(self, part: str, level: Level, message: str) -> None:
-        """State what is wrong with a part of the node, until it is cleared."""
+        """State what is wrong with a part of the node, until it is cleared.
+
+        Raises:
+            ValueError: there is no such part.
+        """
+        if part not in _PARTS + _MILD:
+            raise ValueError(f"no part of the node is called {part}")
         self.problems[part] = (level, message)
 
     def clear_problem(self, part: str) -> None:
@@ -165,7 +173,7 @@ class Statistics:
         self, now: float, recent: Counter[str], silence_s: float
     ) -> Iterator[tuple[Level, str]]:
         """Say what holds, first what costs most."""
-        yield from (found for part, found in self.problems.items() if part not in _MILD)
+        yield from (self.problems[part] for part in _PARTS if part in self.problems)
         if recent["internal_errors"]:
             yield (
                 Level.ERROR,
@@ -179,7 +187,7 @@ class Statistics:
                 text = reason.format(loss=self._last_loss, drop=self._last_drop)
                 yield Level.WARN, f"{recent[name]} {text}"
         yield from _without_estimates(recent)
-        yield from (found for part, found in self.problems.items() if part in _MILD)
+        yield from (self.problems[part] for part in _MILD if part in self.problems)
 
     def _silence(
         self, now: float, recent: Counter[str], silence_s: float
