@@ -16,7 +16,7 @@ _EPILOG = """\
 topics in:
   events       dvs_msgs or prophesee_event_msgs EventArray, event_camera_msgs/EventPacket,
                sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
-               the graph is taken; PointCloud2 must be remapped
+               the node's namespace is taken; PointCloud2 must be remapped
   camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped
 
 topics out:
