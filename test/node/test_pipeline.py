@@ -17,6 +17,7 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.twist import at_middle
 from emoflow_ros.node.discovery import EventTopic
@@ -194,6 +195,27 @@ def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(benc
     bench.supervisor.outcomes.put(bench.answer(job))
     bench.pipeline.report()
     assert len(bench.node.messages("egomotion/twist")) == 1
+
+
+def test_windows_with_too_few_events_are_not_running(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1021)
+    for job in bench.supervisor.jobs():
+        answer = bench.answer(job)
+        estimate = replace(answer.estimate, status=Status.TOO_FEW_EVENTS)
+        bench.supervisor.outcomes.put(replace(answer, estimate=estimate, twists=()))
+    report = bench.pipeline.report()
+    assert report.level is Level.WARN
+    assert report.message.startswith("2 windows with too few events, and none with enough")
+
+
+def test_no_more_events_are_dropped_than_came(bench: Bench) -> None:
+    bench.pipeline.set_settings(bench.settings.changed({"window.stride_ms": 2.0}))
+    bench.calibrate()
+    bench.play(1000, 1101)
+    values = bench.pipeline.report().values
+    assert int(values["windows_dropped"]) > 40
+    assert 15 < int(values["events_dropped"]) <= int(values["events"]) == 21
 
 
 def test_pause_forgets_what_waits_for_either(bench: Bench) -> None:

@@ -90,6 +90,16 @@ def test_worker_that_stops_reading_is_replaced_after_the_timeout(
     assert b.result().estimate.quality.events == 5
 
 
+def test_message_that_is_not_finished_ends_the_wait() -> None:
+    ours, theirs = multiprocessing.Pipe()
+    channel = Channel(ours, stall_s=0.1)
+    theirs.send_bytes(b'[{}, [["linear", "<f8", [3]]]]')
+    with pytest.raises(TimeoutError, match="not finished"):
+        channel.receive(60.0)
+    with pytest.raises(TimeoutError, match=r"no message in 0.1 s"):
+        channel.receive(0.1)
+
+
 class Clumsy:
     """Fails a few times, as a full thread table or too little memory would let anything fail."""
 
