@@ -5,9 +5,9 @@ time plus a delay that varies but is never negative. The smallest differences be
 sensor time therefore lie along the true offset (plus the smallest delay), and their slope over
 time is the drift of one clock against the other.
 
-A sensor whose times are ROS time already differs by the delay alone. That delay is left out, and
-what the difference does from then on is followed all the same: such a clock may have been set from
-the host's once, and drift.
+A sensor whose times are ROS time already differs by a delay alone, and its times are left as they
+are. Such a clock may also have been set from the host's once: as soon as the differences move away
+further than they scatter, the drift is followed there, too.
 """
 
 from collections import deque
@@ -15,9 +15,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 
-# Stamps that are less than this after the event times show a delay, not another clock.
+# Event times closer than this to the stamps are ROS time, or were.
 SAME_CLOCK_NS = NS_PER_S
 
 _BUCKET_NS = NS_PER_S  # the smallest difference of each second is kept
@@ -25,6 +25,9 @@ _BUCKETS = 60
 _MIN_BUCKETS = 5  # before that a slope would be noise
 # How fast the offset may change, in ns per ns: below 1, so that time never goes back.
 _START_SLEW = 0.5
+# A clock on ROS time drifts if its differences move by more than this, and than their scatter.
+_MIN_DRIFT_NS = NS_PER_MS
+_DRIFT_IN_SCATTERS = 3.0
 _TRACKING_SLEW = 1e-3
 
 
@@ -55,7 +58,9 @@ class ClockMap:
         """Forget the offset, for example after a jump in time."""
         self.drift_ppm = 0.0
         self._first: int | None = None
-        self._delay = 0  # of a sensor on ROS time; 0 for another clock, which hides its own
+        self._on_ros_time = self._timestamps is Timestamps.SENSOR
+        self._scatter = 0.0  # of the smallest differences about their line, ns: the largest so far
+        self._delay = 0  # of a sensor that is on ROS time, or was; another clock hides its own
         # The offset in use is `_held` at sensor time `_since` and moves from there towards the
         # line `_target` + `drift_ppm` * (t - `_reference`).
         self._since = self._held = self._reference = self._target = 0
@@ -70,7 +75,7 @@ class ClockMap:
         if self._first is None:
             self._first = self._since = self._reference = sensor
             self._aim(difference)
-            self._held = self._target
+            self._held = 0 if self._on_ros_time else self._target
         self._held = self.offset(sensor)
         self._since = max(self._since, sensor)
         if self._timestamps is Timestamps.HEADER:
@@ -80,7 +85,9 @@ class ClockMap:
 
     def offset(self, t: int) -> int:
         """ROS time minus sensor time at sensor time t, in ns."""
-        line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
+        line = 0
+        if not self._on_ros_time:
+            line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
         reach = round(self._slew * max(0, t - self._since))
         return self._held + min(max(line - self._held, -reach), reach)
 
@@ -102,11 +109,14 @@ class ClockMap:
             self._aim(min(d for _, d in self._minima))
 
     def _aim(self, difference: int) -> None:
-        """Set the offset to move to; what is delay is decided anew until there is a slope."""
-        if len(self._minima) <= _MIN_BUCKETS:
-            same = self._timestamps is Timestamps.FUSED and 0 <= difference < SAME_CLOCK_NS
-            self._delay = difference if same else 0
+        """Set what the offset moves to, and decide whether the sensor is on ROS time (still)."""
+        if len(self._minima) <= _MIN_BUCKETS:  # there was no slope yet
+            fused = self._timestamps is Timestamps.FUSED
+            self._on_ros_time = fused and abs(difference) < SAME_CLOCK_NS
+            self._delay = difference if self._on_ros_time else 0
         self._target = difference - self._delay
+        if abs(self._target) > max(_MIN_DRIFT_NS, _DRIFT_IN_SCATTERS * self._scatter):
+            self._on_ros_time = False
 
     def _fit(self) -> None:
         """Fit the line through the minima of the finished seconds (Theil-Sen)."""
@@ -119,4 +129,7 @@ class ClockMap:
         i, j = np.triu_indices(len(t), 1)
         slope = float(np.median((d[j] - d[i]) / (t[j] - t[i])))
         self.drift_ppm = slope * 1e6
-        self._aim(base + round(float(np.median(d - slope * t))))
+        intercept = float(np.median(d - slope * t))
+        scatter = float(np.percentile(np.abs(d - slope * t - intercept), 90))
+        self._scatter = max(self._scatter, scatter)
+        self._aim(base + round(intercept))

@@ -113,9 +113,7 @@ class EventInput:
         self._statistics.add_events(0 if windows is None else len(events))
         if windows is None:
             return []
-        # A driver that stamps with an event's own time takes the first one's, or the last one's.
-        of_last = message.stamp == events.t[-1]
-        self._clock.observe(int(events.t[-1 if of_last else 0]), message.stamp)
+        self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
         frame_id = self._frame_id or message.frame_id
         return [

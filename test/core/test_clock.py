@@ -82,7 +82,19 @@ def test_delay_of_events_on_ros_time_stays_out_of_their_stamps():
     clock = ClockMap(Timestamps.FUSED)
     for sensor, true, stamp in messages(np.random.default_rng(6), 120, 0.0):
         clock.observe(sensor, stamp - OFFSET + 20 * MS)
-        assert abs(clock.to_ros(sensor) - (true - OFFSET)) < 0.3 * MS
+        assert clock.to_ros(sensor) == true - OFFSET
+
+
+@pytest.mark.parametrize("few_first", [True, False])
+def test_stamps_that_scatter_move_no_event_on_ros_time(few_first):
+    """As of a stream whose stamps are the starts of periods, with few events and with many."""
+    clock = ClockMap(Timestamps.FUSED)
+    rng = np.random.default_rng(8)
+    for k in range(12_000):
+        start = 5 * S + k * 10 * MS
+        first = start + int(rng.exponential(3 * MS if (k < 6000) is few_first else 0.001 * MS))
+        clock.observe(first, start)
+        assert clock.offset(first) == 0
 
 
 def test_first_message_that_comes_late_does_not_decide_on_the_clock():

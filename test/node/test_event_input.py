@@ -90,13 +90,15 @@ def test_sensor_time_is_mapped_by_the_first_stamp(bench: Bench) -> None:
     assert task.time_offset == 49_000 * MS
 
 
-def test_stamp_of_a_message_s_last_event_is_no_delay_that_varies(bench: Bench) -> None:
+def test_event_times_on_ros_time_stay_with_the_stamps_of_last_events(
+    bench: Bench,
+) -> None:
     tasks = []
-    for second in range(20):
+    for second in range(120):
         start, length = 1000 * (second + 1), 5 + 30 * (second % 3)
         tasks += bench.push(start, start + length, stamp_ms=start + length)
     assert {task.time_offset for task in tasks} == {0}
-    assert len(tasks) > 20
+    assert len(tasks) > 120
 
 
 def test_sensor_time_is_kept_on_request() -> None:
