@@ -5,10 +5,10 @@ SHELL := bash
 .DEFAULT_GOAL := help
 ENV := set +u; source scripts/env.sh; set -u
 
-.PHONY: help setup messages demo test lint bench fuzz soak clean
+.PHONY: help setup messages demo test lint bench accuracy accuracy-compare fuzz soak clean
 
 help:  ## list the targets
-	@grep -E '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 12
+	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
 setup:  ## virtual environment, requirements, colcon build of the package into install/
 	@scripts/setup.sh
@@ -36,6 +36,14 @@ bench: messages  ## all of benchmarks/
 		echo "== $$benchmark"
 		python "$$benchmark"
 	done
+
+accuracy: setup  ## accuracy and honesty over many recordings, into out/accuracy/; ACCURACY_ARGS=--quick: fewer
+	@$(ENV)
+	python -m benchmarks.scoreboard $(ACCURACY_ARGS)
+
+accuracy-compare: setup  ## two of its results, A=before.json B=after.json
+	@$(ENV)
+	python -m benchmarks.scoreboard.compare "$(A)" "$(B)"
 
 fuzz: setup  ## decoders on a million inputs each by hypothesis and by atheris; takes hours
 	@$(ENV)

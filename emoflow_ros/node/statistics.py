@@ -10,6 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.node.memory import resident_mb
 from emoflow_ros.node.tasks import Loss, Result, Task
 
@@ -81,7 +82,8 @@ class Statistics:
         self._last_result: Result | None = None
         self._last_loss = ""
         self._last_drop = ""
-        self._dropped_until = (-1, 0)  # epoch, and event time from which none is counted yet
+        self._dropped = DistinctEvents()
+        self._dropped_epoch: int | None = None
         self._last_message = self._last_event = clock()
         self._reported = (clock(), Counter[str]())
 
@@ -107,15 +109,14 @@ class Statistics:
     def add_dropped(self, task: Task, reason: str) -> None:
         """Count a window that had to make room for newer ones, and its events.
 
-        Windows may overlap: events that have counted already do not count again.
+        Events that another dropped window held, too, are counted once.
         """
-        t = task.window.events.t
-        epoch, until = self._dropped_until
-        again = int(np.searchsorted(t, until)) if task.epoch == epoch else 0
+        if task.epoch != self._dropped_epoch:
+            self._dropped_epoch = task.epoch
+            self._dropped.start_anew()
+        self._dropped.add(task.window)
         self.counts["windows_dropped"] += 1
-        self.counts["events_dropped"] += len(t) - again
-        if again < len(t):
-            self._dropped_until = (task.epoch, int(t[-1]) + 1)
+        self.counts["events_dropped"] = self._dropped.count
         self._last_drop = reason
 
     def add_loss(self, loss: Loss) -> None:

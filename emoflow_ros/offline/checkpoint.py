@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.estimate import Estimator
+from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
@@ -53,6 +54,7 @@ class Progress:
         first: time of the first event, ns; None before it.
         pending: windows that are cut but not yet estimated.
         windows: the results so far.
+        covered: counts the events of their windows.
         gallery: the windows kept for pictures.
         tracker: carries points along, if wanted.
         wall_s: time that the run has taken so far, s.
@@ -64,6 +66,7 @@ class Progress:
     first: int | None = None
     pending: deque[Window] = field(default_factory=deque)
     windows: list[WindowResult] = field(default_factory=list)
+    covered: DistinctEvents = field(default_factory=DistinctEvents)
     gallery: Gallery = field(default_factory=Gallery)
     tracker: Tracker | None = None
     wall_s: float = 0.0

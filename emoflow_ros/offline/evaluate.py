@@ -95,8 +95,9 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
         default=[],
         metavar="GT",
         help="ground truth: bags or MVSEC's *_gt.hdf5 with poses and depth, MVSEC's "
-        "*_gt_flow_dist.npz and *_odom.npz, a DSEC sequence, ECD's motion.txt or groundtruth.txt "
-        "(default: what lies in the folder of an ECD or DSEC sequence)",
+        "*_gt_flow_dist.npz and *_odom.npz, a DSEC sequence, text files of poses "
+        "(t tx ty tz qx qy qz qw), ECD's motion.txt (default: what lies in the folder of an ECD or "
+        "DSEC sequence, or stamped_groundtruth.txt beside an HDF5 file with columns)",
     )
     add_recording_options(parser)
     add_configuration_options(parser)

@@ -39,6 +39,7 @@ class Evaluation:
         truth: what it was compared with.
         protocol: which windows were compared, in words.
         windows: one result per window.
+        events: of the recording in the windows, as they were cut; each counts once.
         gallery: windows for pictures.
         interrupted: whether Ctrl-C ended it early.
         wall_s: time that the run took, s: reading, estimating and comparing.
@@ -52,6 +53,7 @@ class Evaluation:
     truth: Truth
     protocol: str = ""
     windows: list[WindowResult] = field(default_factory=list)
+    events: int = 0
     gallery: Gallery = field(default_factory=Gallery)
     interrupted: bool = False
     wall_s: float = 0.0
@@ -125,7 +127,7 @@ def proceed(
         truth,
         protocol,
         progress.windows,
-        progress.gallery,
+        gallery=progress.gallery,
     )
     left = None if max_windows is None else max(0, max_windows - len(run.windows))
     with tqdm(
@@ -151,6 +153,7 @@ def proceed(
             if writer is not None:
                 writer.truncate(len(run.windows))  # it may have come in the middle of a row
     run.wall_s = progress.wall_s
+    run.events = progress.covered.count
     if checkpoint is not None and not run.interrupted:
         checkpoint.remove()
     return run
@@ -221,7 +224,7 @@ def _process(
 ) -> None:
     """Estimate and assess the first pending window."""
     estimate, note = attempt(progress.estimator, window)
-    window = window.since(estimate.t_start)
+    cut, window = window, window.since(estimate.t_start)
     tracker = progress.tracker
     tracks = tracker.follow(estimate, truth) if tracker else None
     track_errors = tracks.errors if tracks else None
@@ -233,6 +236,7 @@ def _process(
         submission.offer(part.t_start, part.t_end, estimate)
     progress.gallery.offer(part, estimate, result, tuple(tracker.recent) if tracker else ())
     progress.windows.append(result)
+    progress.covered.add(cut)
     progress.pending.popleft()
 
 

@@ -3,20 +3,32 @@
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.highlevel import AnyReader
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import KNOWN_FORMATS, open_recording
+from emoflow_ros.offline.info_extras import (
+    Extras,
+    ImuInfo,
+    TruthInfo,
+    file_extras,
+    section_lines,
+    table_lines,
+    topic_imu,
+    topic_truth,
+)
+from emoflow_ros.offline.readers import KNOWN_FORMATS, Recording, open_recording
 from emoflow_ros.offline.readers.bag import BagRecording, open_bag, read_messages, serialization
+from emoflow_ros.offline.readers.hdf5_columns import ColumnsRecording
 from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
 
 _EPILOG = """\
@@ -83,10 +95,12 @@ class TopicInfo:
 
 @dataclass
 class Info:
-    """A recording: its event streams, the other topics, and what the estimator would miss."""
+    """A recording: its event streams, truth, IMUs and other topics, and what would be missed."""
 
     input: str
     topics: list[TopicInfo] = field(default_factory=list)
+    truth: list[TruthInfo] = field(default_factory=list)
+    imu: list[ImuInfo] = field(default_factory=list)
     other_topics: list[dict[str, Any]] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
 
@@ -106,7 +120,18 @@ def inspect(path: Path) -> Info:
     if not info.topics:
         info.missing.append("no event topic")
     info.missing += [f"{t.name or 'file'}: no events" for t in info.topics if t.events == 0]
+    info.missing += [f"{t.name}: {problem}" for t in info.truth if (problem := _apart(info, t))]
     return info
+
+
+def _apart(info: Info, truth: TruthInfo) -> str | None:
+    """Say that a truth is of another time than all events."""
+    if truth.t_first is None or truth.t_last is None:
+        return None
+    spans = [(t.t_first, t.t_last) for t in info.topics if t.t_first is not None]
+    if not spans or any(a < truth.t_last and truth.t_first < (b or a) for a, b in spans):
+        return None
+    return "does not overlap with the events in time: of another clock, or another recording"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -143,11 +168,26 @@ def _inspect_bag(path: Path) -> Info:
                 if ros_type != _AMBIGUOUS or topic.malformed < count:
                     info.topics.append(topic)
                     continue
-            info.other_topics.append({"name": name, "type": ros_type, "messages": count})
+            if not _is_extra(info, path, bag, name):
+                info.other_topics.append({"name": name, "type": ros_type, "messages": count})
     info.missing += [
         f"{t.name}: {problem}" for t in info.topics if (problem := _calibration_problem(path, t))
     ]
     return info
+
+
+def _is_extra(info: Info, path: Path, bag: AnyReader, name: str) -> bool:
+    """Take up a topic that is truth or an IMU; one that cannot be read is named as missing."""
+    try:
+        found = topic_truth(path, bag, name) or topic_imu(path, bag, name)
+    except InputError as error:
+        info.missing.append(f"{name} cannot be used ({error})")
+        return False
+    if isinstance(found, TruthInfo):
+        info.truth.append(found)
+    elif found is not None:
+        info.imu.append(found)
+    return found is not None
 
 
 def _inspect_topic(name: str, ros_type: str, kind: Any, messages: Iterable[bytes]) -> TopicInfo:
@@ -182,20 +222,33 @@ def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
 
 def _inspect_file(path: Path) -> Info:
     info = Info(str(path))
-    with open_recording(path) as recording:
-        kind = getattr(recording, "TYPE", type(recording).__name__)
-        topic = TopicInfo(recording.topic or getattr(recording, "file_name", ""), kind)
-        topic.encoding = getattr(recording, "encoding", "")
-        size = getattr(recording, "size", (0, 0))
-        if recording.camera is not None:
-            size = recording.camera.width, recording.camera.height
-        topic.width, topic.height = size
-        for events in tqdm(recording.event_chunks(), unit="chunk", leave=False, disable=None):
-            topic.add(events)
-        info.topics.append(topic)
-        if recording.camera is None:
-            info.missing.append(_NO_CALIBRATION)
+    several = ColumnsRecording.matches(path)
+    for name in ColumnsRecording.topics(path) if several else [None]:
+        with open_recording(path, topic=name) as recording:
+            if not info.topics:
+                _take_extras(info, file_extras(recording))
+            info.topics.append(_count_file(recording))
+            if recording.camera is None:
+                info.missing.append(f"{name}: {_NO_CALIBRATION}" if several else _NO_CALIBRATION)
     return info
+
+
+def _take_extras(info: Info, extras: Extras) -> None:
+    info.truth, info.imu = extras.truth, extras.imu
+    info.missing += extras.problems
+
+
+def _count_file(recording: Recording) -> TopicInfo:
+    kind = getattr(recording, "TYPE", type(recording).__name__)
+    topic = TopicInfo(recording.topic or getattr(recording, "file_name", ""), kind)
+    topic.encoding = getattr(recording, "encoding", "")
+    size = getattr(recording, "size", (0, 0))
+    if recording.camera is not None:
+        size = recording.camera.width, recording.camera.height
+    topic.width, topic.height = size
+    for events in tqdm(recording.event_chunks(), unit="chunk", leave=False, disable=None):
+        topic.add(events)
+    return topic
 
 
 def _lines(info: Info) -> Iterator[str]:
@@ -204,10 +257,14 @@ def _lines(info: Info) -> Iterator[str]:
     for topic in info.topics:
         yield ""
         yield from _topic_lines(topic)
+    yield from section_lines("truth", [truth.row() for truth in info.truth])
+    yield from section_lines("imu", [imu.row() for imu in info.imu])
     if info.other_topics:
         yield ""
         yield "other topics"
-        yield from _table([(t["name"], t["type"], str(t["messages"])) for t in info.other_topics])
+        yield from table_lines(
+            [(t["name"], t["type"], str(t["messages"])) for t in info.other_topics]
+        )
     yield ""
     yield f"missing: {'; '.join(info.missing) or 'nothing'}"
 
@@ -235,13 +292,7 @@ def _topic_lines(topic: TopicInfo) -> Iterator[str]:
         "triggers": topic.triggers,
     }
     rows += [(name, str(count)) for name, count in problems.items() if count]
-    yield from _table(rows)
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield ("  " + "  ".join(map(str.ljust, row, widths))).rstrip()
+    yield from table_lines(rows)
 
 
 if __name__ == "__main__":

@@ -93,7 +93,8 @@ def make_plan(
         truth: of the recording.
         policy: of the windows (adapt_windows); intervals take their length from it.
         sequence: limits frames and rows.
-        clips: one of POLICIES: windows that end with the intervals, or the published code's.
+        clips: one of POLICIES: windows that end with the intervals, or the published code's, with
+            the flow truth of MVSEC's intervals by its rule (PropagatedFlow), too.
         test_times: DSEC's `<sequence>.csv`, or a folder that holds it.
 
     Raises:
@@ -148,6 +149,8 @@ def _between_frames(
     published = PUBLISHED.get(sequence.name) if sequence and step == _PUBLISHED_STEP else None
     if clips == PAPER:
         count = sequence.clip_events if sequence else MVSEC_CLIP
+        if isinstance(truth.flows, PropagatedFlow):
+            truth = replace(truth, flows=truth.flows.as_published())
         return Plan(ClipSlicer(intervals, count), truth, words + _clipped(count), published)
     slicer = CausalSlicer(intervals, policy.duration_ns)
     return Plan(slicer, truth, words + _causal(policy), published)

@@ -153,7 +153,7 @@ def _nearest(x, y, candidates, count, matrices, sizes):  # type: ignore[no-untyp
     return nearest, best
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _cast(bearings, tiles, matrices, sizes):  # type: ignore[no-untyped-def]
     height, width = bearings.shape[:2]
     depth = np.full((height, width), np.nan)
@@ -172,7 +172,7 @@ def _cast(bearings, tiles, matrices, sizes):  # type: ignore[no-untyped-def]
     return depth, quad
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _render(  # type: ignore[no-untyped-def]
     bearings, tiles, matrices, sizes, texture, paint, texels, level_start, focal, image
 ):
@@ -228,7 +228,7 @@ def _bilinear(texels, start, level, u, v):  # type: ignore[no-untyped-def]
     return upper + fv * (lower - upper)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _blur(image):  # type: ignore[no-untyped-def]
     """The lens' point spread: [1 2 1] / 4 along both axes, the border repeated."""
     height, width = image.shape

@@ -1,7 +1,7 @@
 """The scenes: what stands where, and how camera and objects move."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,18 +20,19 @@ class Scene:
     Attributes:
         quads: all surfaces, each in the frame of the body that carries it.
         camera: world-from-camera.
-        mover: world-from-body of the one body that moves by itself.
+        movers: world-from-body of each body that moves by itself: bodies MOVING, MOVING + 1, ...
         noise_hz: background events per second and pixel; dim scenes have more.
     """
 
     quads: tuple[Quad, ...]
     camera: Trajectory
-    mover: Trajectory = field(default_factory=Trajectory)
+    movers: tuple[Trajectory, ...] = ()
     noise_hz: float = _QUIET_HZ
 
-    def poses(self, t: float) -> tuple[Pose, tuple[Pose, Pose]]:
-        """Poses at t in s: the camera's, and those of the bodies STATIC and MOVING."""
-        return self.camera.pose(t), ((np.eye(3), np.zeros(3)), self.mover.pose(t))
+    def poses(self, t: float) -> tuple[Pose, tuple[Pose, ...]]:
+        """Poses at t in s: the camera's, and those of the bodies STATIC, MOVING and so on."""
+        rest = (np.eye(3), np.zeros(3))
+        return self.camera.pose(t), (rest, *(mover.pose(t) for mover in self.movers))
 
 
 SceneBuilder = Callable[[float, np.random.Generator], Scene]
@@ -85,12 +86,12 @@ def _mover(duration_s: float, rng: np.random.Generator) -> Scene:
             Wave(ROLL, 0.3, 0.2, phase),
         ),
     )
-    return Scene(calm.quads + tuple(box), calm.camera, path)
+    return Scene(calm.quads + tuple(box), calm.camera, (path,))
 
 
 def _bystander(duration_s: float, rng: np.random.Generator) -> Scene:
     mover = _mover(duration_s, rng)
-    return Scene(mover.quads, Trajectory(), mover.mover)
+    return Scene(mover.quads, Trajectory(), mover.movers)
 
 
 def _forward(duration_s: float, rng: np.random.Generator) -> Scene:

@@ -7,11 +7,16 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.cameras import LENSES, davis346
-from emoflow_ros.simulation.recording import simulate
+from emoflow_ros.simulation.factors import draw_factors, factor_specs
+from emoflow_ros.simulation.random_recording import simulate_random
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.scenes import SCENES
 from emoflow_ros.simulation.sensor import SensorModel
-from emoflow_ros.simulation.writer import FORMATS, OutputPaths, write_recording
+from emoflow_ros.simulation.writer import FORMATS, OutputPaths, write_factors, write_recording
 
+RANDOM = "random"
+_OF_SCENES = ("distortion", "fps", "threshold", "mismatch", "refractory_us", "noise")
+_DISTORTION, _FPS = "equidistant", 1000
 _LAST_START = 2**31 - 3600  # ROS 2 stamps hold seconds in 31 bits
 
 _EPILOG = """\
@@ -21,10 +26,15 @@ writes to DIR:
   NAME_gt_flow_dist.npz  timestamps (s), x_flow_dist, y_flow_dist (px to the next stamp), moving
                          (pixels that see an object of its own motion)
   NAME_calib.yaml        camera_info
+  NAME_factors.yaml      what was drawn (scene random)
 (with --format rosbag2 the bags are the folders NAME_data and NAME_gt)
 
-example:
+The scene random draws layout, textures, motion, camera and pixels from the seed; --set fixes
+some of that, and the options --distortion to --noise, without --format, are not for it.
+
+examples:
   simulate calm --out recordings --duration 2 --seed 1
+  simulate random --out recordings --duration 3 --seed 7 --set motion=shake --set noise_hz=2
 """
 
 
@@ -44,35 +54,39 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("scene", choices=SCENES, metavar="SCENE", help=f"one of {', '.join(SCENES)}")
+    scenes = (*SCENES, RANDOM)
+    add("scene", choices=scenes, metavar="SCENE", help=f"one of {', '.join(scenes)}")
     add("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
     add("--name", help="start of the file names (default: the scene)")
     add("--duration", type=float, default=1.0, metavar="S", help="seconds (default: 1)")
     add("--seed", type=int, default=0, help="of everything random (default: 0)")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="FACTOR=VALUE",
+        help=f"fix a factor of the scene random: {', '.join(factor_specs())}",
+    )
     add("--format", choices=FORMATS, default=FORMATS[0], help="of the bags (default: rosbag1)")
     add(
         "--distortion",
         choices=LENSES,
-        default="equidistant",
         help="lens model (default: equidistant, MVSEC's)",
     )
-    add("--fps", type=int, default=1000, help="rendered images per second (default: 1000)")
+    add("--fps", type=int, help="rendered images per second (default: 1000)")
     add(
         "--threshold",
         type=float,
-        default=sensor.threshold_on,
         help=f"change of log intensity per event (default: {sensor.threshold_on})",
     )
     add(
         "--mismatch",
         type=float,
-        default=sensor.mismatch,
         help=f"spread of the threshold over the pixels (default: {sensor.mismatch})",
     )
     add(
         "--refractory-us",
         type=int,
-        default=sensor.refractory_us,
         metavar="US",
         help=f"dead time of a pixel in microseconds (default: {sensor.refractory_us})",
     )
@@ -101,11 +115,21 @@ def _simulate(args: argparse.Namespace) -> None:
         raise InputError("--name", f"'{name}' is a path", "give a name, and the folder with --out")
     if not 0 <= args.start_time <= _LAST_START:
         raise InputError("--start-time", f"{args.start_time} s", f"give 0 to {_LAST_START}")
+    if args.scene == RANDOM:
+        _simulate_random(args, name)
+    else:
+        _simulate_scene(args, name)
+
+
+def _simulate_scene(args: argparse.Namespace, name: str) -> None:
+    if args.set:
+        raise InputError("--set", f"the scene {args.scene} has no factors", "use the scene random")
+    usual = SensorModel()
     sensor = SensorModel(
-        threshold_on=args.threshold,
-        threshold_off=args.threshold,
-        mismatch=args.mismatch,
-        refractory_us=args.refractory_us,
+        threshold_on=usual.threshold_on if args.threshold is None else args.threshold,
+        threshold_off=usual.threshold_off if args.threshold is None else args.threshold,
+        mismatch=usual.mismatch if args.mismatch is None else args.mismatch,
+        refractory_us=usual.refractory_us if args.refractory_us is None else args.refractory_us,
         noise_hz=args.noise,
     )
     paths = OutputPaths.within(args.out, name, args.format)
@@ -114,14 +138,49 @@ def _simulate(args: argparse.Namespace) -> None:
         args.scene,
         duration_s=args.duration,
         seed=args.seed,
-        camera=davis346(args.distortion),
-        fps=args.fps,
+        camera=davis346(args.distortion or _DISTORTION),
+        fps=_FPS if args.fps is None else args.fps,
         sensor=sensor,
         start_ns=round(args.start_time * NS_PER_S),
         progress=True,
     )
+    _write(args, recording, paths)
+    for path in paths:
+        print(path)
+
+
+def _simulate_random(args: argparse.Namespace, name: str) -> None:
+    for option in _OF_SCENES:
+        if getattr(args, option) is not None:
+            flag = "--" + option.replace("_", "-")
+            raise InputError(flag, "is not for the scene random", "fix a factor with --set")
+    factors = draw_factors(args.seed, _assignments(args.set))
+    paths = OutputPaths.within(args.out, name, args.format, factors=True)
+    paths.check(overwrite=args.force)
+    recording = simulate_random(
+        factors,
+        duration_s=args.duration,
+        start_ns=round(args.start_time * NS_PER_S),
+        progress=True,
+    )
+    _write(args, recording.as_given(), paths)
+    assert paths.factors is not None
+    write_factors(paths.factors, factors)
+    for factor, value in factors.as_dict().items():
+        print(f"{factor}: {value}")
+    for path in paths:
+        print(path)
+
+
+def _assignments(words: list[str]) -> dict[str, str]:
+    """Split FACTOR=VALUE."""
+    for word in words:
+        if "=" not in word:
+            raise InputError("--set", f"'{word}'", "give FACTOR=VALUE")
+    return dict(word.split("=", 1) for word in words)
+
+
+def _write(args: argparse.Namespace, recording: SimulatedRecording, paths: OutputPaths) -> None:
     write_recording(recording, paths, args.format, progress=True)
     rate = len(recording.events) / args.duration / 1e6
     print(f"{len(recording.events)} events ({rate:.2f} Mev/s)")
-    for path in paths:
-        print(path)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-STATIC, MOVING = 0, 1
+STATIC, MOVING = 0, 1  # more bodies that move by themselves are MOVING + 1, ...
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Quad:
         texel: side of the finest texel in m.
         contrast: factor on the texture's log intensity.
         shade: added to the log intensity.
-        body: STATIC or MOVING.
+        body: STATIC, or MOVING plus the number of the body that moves by itself.
     """
 
     corner: NDArray[np.float64]

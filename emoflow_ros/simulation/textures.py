@@ -1,5 +1,6 @@
 """Procedural textures with the statistics of natural images: edges at every scale."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ SIZE = 1024  # texels along one side of the finest level; textures repeat beyond
 LEVELS = 9
 _OVERSAMPLING = 2  # leaves are painted this much finer, then averaged: smooth outlines
 _LEAVES = 2500
-_LOG_CONTRAST = 0.45  # standard deviation of the leaves' log intensity
+LOG_CONTRAST = 0.45  # standard deviation of the leaves' log intensity
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,15 @@ class TextureSet:
 
 
 def make_textures(count: int, rng: np.random.Generator) -> TextureSet:
-    """Paint `count` textures, finest level first, each level a 2x2 mean of the one before."""
+    """Paint `count` textures of dead leaves."""
+    return texture_set([paint_leaves(rng) for _ in range(count)])
+
+
+def texture_set(images: Sequence[NDArray[np.float32]]) -> TextureSet:
+    """Build the pyramids of periodic images (SIZE, SIZE): each level a 2x2 mean of the finer."""
     sizes = [(SIZE >> level) ** 2 for level in range(LEVELS)]
     start = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-    texels = np.stack([_pyramid(_paint(rng)) for _ in range(count)])
-    return TextureSet(texels, start)
+    return TextureSet(np.stack([_pyramid(image) for image in images]), start)
 
 
 def _pyramid(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -47,7 +52,7 @@ def _halve(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(image.reshape(n, 2, n, 2).mean(axis=(1, 3)), np.float32)
 
 
-def _paint(rng: np.random.Generator) -> NDArray[np.float32]:
+def paint_leaves(rng: np.random.Generator) -> NDArray[np.float32]:
     """Paint dead leaves over one another: discs and rectangles with sizes after a power law.
 
     The model (Lee, Mumford and Huang, IJCV 2001) has the scale-invariant edges and the 1/f^2
@@ -66,7 +71,7 @@ def _paint(rng: np.random.Generator) -> NDArray[np.float32]:
         np.exp(rng.uniform(-0.7, 0.7, _LEAVES)),
         rng.uniform(0, np.pi, _LEAVES),
         rng.random(_LEAVES) < 0.5,
-        rng.normal(0, _LOG_CONTRAST, _LEAVES).astype(np.float32),
+        rng.normal(0, LOG_CONTRAST, _LEAVES).astype(np.float32),
     )
     canvas = _halve(canvas)
     return canvas - canvas.mean()

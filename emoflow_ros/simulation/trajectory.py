@@ -1,4 +1,4 @@
-"""Smooth 6-DoF paths as sums of sinusoids, with derivatives in closed form."""
+"""Smooth 6-DoF paths as sums of sinusoids and smooth steps, with derivatives in closed form."""
 
 from dataclasses import dataclass
 
@@ -27,17 +27,36 @@ class Wave:
     phase: float
 
 
+@dataclass(frozen=True)
+class Step:
+    """A move on one channel from rest to rest, with continuous acceleration.
+
+    Attributes:
+        channel: X, Y, Z (height in m) or YAW, PITCH, ROLL (in rad).
+        height: how far.
+        start, duration: s.
+    """
+
+    channel: int
+    height: float
+    start: float
+    duration: float
+
+
 class Trajectory:
     """The pose of a rigid body over time.
 
     Position and the angles of R = Ry(yaw) Rx(pitch) Rz(roll) are each an offset plus a constant
-    rate plus sinusoids. For a camera, the body is the optical frame; the world's y axis
-    points down, as gravity does.
+    rate plus sinusoids plus steps. A lever l adds R l to the position: the body then turns
+    about a point that is not its origin, as a camera on a pan-tilt head does. For a camera, the
+    body is the optical frame; the world's y axis points down, as gravity does.
 
     Args:
         offset: (6,) pose at t = 0 without the waves, in m and rad.
         rate: (6,) constant rates in m/s and rad/s.
         waves: any number of sinusoids.
+        steps: any number of smooth steps.
+        lever: (3,) m, from the centre of rotation to the body's origin, in the body's axes.
     """
 
     def __init__(
@@ -45,6 +64,8 @@ class Trajectory:
         offset: tuple[float, ...] = (0.0,) * 6,
         rate: tuple[float, ...] = (0.0,) * 6,
         waves: tuple[Wave, ...] = (),
+        steps: tuple[Step, ...] = (),
+        lever: tuple[float, float, float] | None = None,
     ) -> None:
         self._offset = np.array(offset)
         self._rate = np.array(rate)
@@ -53,11 +74,16 @@ class Trajectory:
             row[wave.channel] = wave.amplitude
         self._omega = 2 * np.pi * np.array([wave.frequency for wave in waves])
         self._phase = np.array([wave.phase for wave in waves])
+        self._steps = steps
+        self._lever = None if lever is None else np.array(lever)
 
     def pose(self, t: float) -> Pose:
         """Rotation world-from-body (3, 3) and position (3,) in m at time t in s."""
         q = self._channels(t, 0)
-        return _rotation_y(q[YAW]) @ _rotation_x(q[PITCH]) @ _rotation_z(q[ROLL]), q[:3]
+        rotation = _rotation_y(q[YAW]) @ _rotation_x(q[PITCH]) @ _rotation_z(q[ROLL])
+        if self._lever is None:
+            return rotation, q[:3]
+        return rotation, q[:3] + rotation @ self._lever
 
     def twist(self, t: float) -> tuple[Vector, Vector]:
         """Linear velocity (3,) m/s and angular velocity (3,) rad/s, both in the body's axes."""
@@ -71,11 +97,35 @@ class Trajectory:
             + roll_from_pitch @ (dq[PITCH], 0.0, 0.0)
             + (0.0, 0.0, dq[ROLL])
         )
-        return rotation.T @ dq[:3], angular
+        linear = rotation.T @ dq[:3]
+        if self._lever is not None:
+            linear = linear + np.cross(angular, self._lever)
+        return linear, angular
 
     def acceleration(self, t: float) -> Vector:
         """Acceleration (3,) m/s^2 of the body's origin in the world's axes."""
-        return self._channels(t, 2)[:3]
+        acceleration = self._channels(t, 2)[:3]
+        if self._lever is None:
+            return acceleration
+        rotation, _ = self.pose(t)
+        _, angular = self.twist(t)
+        swing = np.cross(self.angular_acceleration(t), self._lever)
+        return acceleration + rotation @ (swing + np.cross(angular, np.cross(angular, self._lever)))
+
+    def angular_acceleration(self, t: float) -> Vector:
+        """Rate of change (3,) rad/s^2 of the angular velocity in the body's axes."""
+        q, dq, ddq = (self._channels(t, order) for order in range(3))
+        sin_pitch, cos_pitch = np.sin(q[PITCH]), np.cos(q[PITCH])
+        sin_roll, cos_roll = np.sin(q[ROLL]), np.cos(q[ROLL])
+        # The yaw and pitch axes in the body's axes, and how they turn.
+        yaw = np.array([sin_roll * cos_pitch, cos_roll * cos_pitch, -sin_pitch])
+        yaw_rate = dq[ROLL] * np.array([yaw[1], -yaw[0], 0.0]) - dq[PITCH] * np.array(
+            [sin_roll * sin_pitch, cos_roll * sin_pitch, cos_pitch]
+        )
+        pitch = np.array([cos_roll, -sin_roll, 0.0])
+        pitch_rate = dq[ROLL] * np.array([-sin_roll, -cos_roll, 0.0])
+        turning = dq[YAW] * yaw_rate + dq[PITCH] * pitch_rate
+        return np.asarray(ddq[YAW] * yaw + ddq[PITCH] * pitch + (0.0, 0.0, ddq[ROLL]) + turning)
 
     def _channels(self, t: float, order: int) -> Vector:
         """The order-th derivative of the six channels."""
@@ -85,7 +135,19 @@ class Trajectory:
             waves = waves + self._offset + self._rate * t
         elif order == 1:
             waves = waves + self._rate
+        for step in self._steps:
+            waves[step.channel] += _step(step, t, order)
         return np.asarray(waves)
+
+
+def _step(step: Step, t: float, order: int) -> float:
+    """The order-th derivative of h (6 s^5 - 15 s^4 + 10 s^3), s from 0 to 1 over the step."""
+    s = min(max((t - step.start) / step.duration, 0.0), 1.0)
+    if order == 0:
+        return step.height * s**3 * (10 + s * (6 * s - 15))
+    if order == 1:
+        return step.height / step.duration * 30 * (s * (1 - s)) ** 2
+    return step.height / step.duration**2 * 60 * s * (1 - s) * (1 - 2 * s)
 
 
 def _rotation_x(angle: float) -> NDArray[np.float64]:

@@ -54,8 +54,8 @@ class GroundTruth:
         return self._cast(t)[0]
 
     def moving_mask(self, t: int) -> NDArray[np.bool_]:
-        """Pixels (H, W) that see the independently moving object."""
-        return np.asarray(self._cast(t)[1] == MOVING)
+        """Pixels (H, W) that see an object that moves by itself."""
+        return np.asarray(self._cast(t)[1] >= MOVING)
 
     def flow(self, t: int) -> Image:
         """Instantaneous motion field of the distorted image, (H, W, 2) px/s."""
@@ -63,8 +63,9 @@ class GroundTruth:
         points = self._rays * depth[..., None]
         linear, angular = self.twist(t)
         velocity = -linear - np.cross(angular, points)
-        on_mover = body == MOVING
-        velocity[on_mover] += self._mover_velocity(t, points[on_mover])
+        for k in range(len(self._scene.movers)):
+            on_mover = body == MOVING + k
+            velocity[on_mover] += self._mover_velocity(k, t, points[on_mover])
         # d(X/Z)/dt, then through the lens.
         normalised = (velocity[..., :2] - self._rays[..., :2] * velocity[..., 2:]) / depth[
             ..., None
@@ -78,8 +79,9 @@ class GroundTruth:
         depth, body = self._cast(t0)
         points = self._rays * depth[..., None]
         moved = _transform(self._from_to(t0, t1), points)
-        on_mover = body == MOVING
-        moved[on_mover] = _transform(self._mover_from_to(t0, t1), points[on_mover])
+        for k in range(len(self._scene.movers)):
+            on_mover = body == MOVING + k
+            moved[on_mover] = _transform(self._mover_from_to(k, t0, t1), points[on_mover])
         moved[moved[..., 2] <= 0] = np.nan
         pixels = self._camera.project(points)
         return self._camera.project(moved) - pixels
@@ -95,29 +97,29 @@ class GroundTruth:
     def _cast(self, t: int) -> tuple[Image, NDArray[np.int64]]:
         return self._caster.cast(*self._scene.poses(self._seconds(t)))
 
-    def _mover_velocity(self, t: int, points: Image) -> Image:
-        """Velocity of points (N, 3) on the mover against the world, in the camera's axes."""
+    def _mover_velocity(self, k: int, t: int, points: Image) -> Image:
+        """Velocity of points (N, 3) on mover k against the world, in the camera's axes."""
         seconds = self._seconds(t)
-        linear, angular = self._scene.mover.twist(seconds)
-        rotation, position = self._in_camera(t)
+        linear, angular = self._scene.movers[k].twist(seconds)
+        rotation, position = self._in_camera(k, t)
         in_body = (points - position) @ rotation
         return np.asarray((linear + np.cross(angular, in_body)) @ rotation.T)
 
-    def _in_camera(self, t: int) -> Pose:
-        """Pose camera-from-mover."""
+    def _in_camera(self, k: int, t: int) -> Pose:
+        """Pose camera-from-mover of mover k."""
         (rotation, position), bodies = self._scene.poses(self._seconds(t))
-        mover_rotation, mover_position = bodies[MOVING]
+        mover_rotation, mover_position = bodies[MOVING + k]
         return rotation.T @ mover_rotation, rotation.T @ (mover_position - position)
 
     def _from_to(self, t0: int, t1: int) -> NDArray[np.float64]:
         """Static points: camera at t1 from camera at t0, (4, 4)."""
         return np.asarray(np.linalg.inv(self.pose(t1)) @ self.pose(t0))
 
-    def _mover_from_to(self, t0: int, t1: int) -> NDArray[np.float64]:
-        """Points on the mover: camera at t1 from camera at t0, (4, 4)."""
+    def _mover_from_to(self, k: int, t0: int, t1: int) -> NDArray[np.float64]:
+        """Points on mover k: camera at t1 from camera at t0, (4, 4)."""
         before, after = np.eye(4), np.eye(4)
-        before[:3, :3], before[:3, 3] = self._in_camera(t0)
-        after[:3, :3], after[:3, 3] = self._in_camera(t1)
+        before[:3, :3], before[:3, 3] = self._in_camera(k, t0)
+        after[:3, :3], after[:3, 3] = self._in_camera(k, t1)
         return np.asarray(after @ np.linalg.inv(before))
 
 

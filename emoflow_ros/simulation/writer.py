@@ -16,6 +16,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.bags import TRUTH_PERIOD, data_topics, truth_topics, write_bag
+from emoflow_ros.simulation.factors import Factors
 from emoflow_ros.simulation.messages import MessageEncoder, ros_distortion
 from emoflow_ros.simulation.recording import SimulatedRecording
 
@@ -30,15 +31,19 @@ class OutputPaths:
         data, truth: the bags; a ROS 1 bag is a file, a rosbag2 bag (mcap) a folder.
         flow: the npz of displacements.
         calibration: the camera_info YAML.
+        factors: what a random recording was drawn as, YAML; None for other scenes.
     """
 
     data: Path
     truth: Path
     flow: Path
     calibration: Path
+    factors: Path | None = None
 
     @classmethod
-    def within(cls, folder: Path, name: str, bag_format: str) -> "OutputPaths":
+    def within(
+        cls, folder: Path, name: str, bag_format: str, *, factors: bool = False
+    ) -> "OutputPaths":
         """Name the parts as MVSEC does; `bag_format` is one of FORMATS."""
         suffix = ".bag" if bag_format == "rosbag1" else ""
         return cls(
@@ -46,10 +51,12 @@ class OutputPaths:
             folder / f"{name}_gt{suffix}",
             folder / f"{name}_gt_flow_dist.npz",
             folder / f"{name}_calib.yaml",
+            folder / f"{name}_factors.yaml" if factors else None,
         )
 
     def __iter__(self) -> Iterator[Path]:
-        return iter((self.data, self.truth, self.flow, self.calibration))
+        parts = (self.data, self.truth, self.flow, self.calibration, self.factors)
+        return (path for path in parts if path is not None)
 
     def check(self, *, overwrite: bool) -> None:
         """Make the folder and see that the parts may be written there.
@@ -97,6 +104,11 @@ def write_recording(
     write_bag(paths.data, encoder, data_topics(recording, encoder), progress=progress)
     write_bag(paths.truth, encoder, truth_topics(recording, encoder), progress=progress)
     _write_flow(paths.flow, recording, progress)
+
+
+def write_factors(path: Path, factors: Factors) -> None:
+    """Write what a random recording was drawn as: names and values, YAML."""
+    path.write_text(yaml.safe_dump(factors.as_dict(), sort_keys=False), encoding="utf-8")
 
 
 def _write_flow(path: Path, recording: SimulatedRecording, progress: bool) -> None:

@@ -84,20 +84,21 @@ def test_calm_flow_is_within_bounds_at_every_warm_window(calm):
     for k, estimate in enumerate(calm.estimates):
         assert estimate.status is Status.OK
         assert estimate.quality.warm == (k > 0)
-        error, length = endpoint_error(calm, k)
         if estimate.quality.warm:
-            assert error < 1.5
-            assert error < 0.25 * length
+            assert endpoint_error(calm, k)[0] < 1.25 * 0.403  # a quarter above that of 0.1.0
 
 
 def test_calm_motion_is_found_with_its_direction(calm):
-    """The sign included, which the epipolar constraint does not know."""
+    """The sign included, which the epipolar constraint does not know.
+
+    Bounds are a quarter above the errors of 0.1.0: 12.2 degrees and 1.36 deg/s.
+    """
     for estimate in calm.estimates[1:]:
         v, w = calm.recording.truth.twist(estimate.t)
         assert estimate.model is MotionModel.FULL
         assert estimate.translation_observable
-        assert estimate.linear @ v > np.cos(np.radians(40)) * np.linalg.norm(v)
-        assert np.degrees(np.linalg.norm(estimate.angular - w)) < 5
+        assert estimate.linear @ v > np.cos(np.radians(1.25 * 12.2)) * np.linalg.norm(v)
+        assert np.degrees(np.linalg.norm(estimate.angular - w)) < 1.25 * 1.36
         assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
         np.testing.assert_allclose(estimate.covariance[:3, :3] @ estimate.linear, 0, atol=1e-9)
 
@@ -239,7 +240,7 @@ def test_windows_with_five_times_as_many_events_are_thinned(calm):
     estimates = [estimator.estimate(window) for window in calm.windows]
     assert {e.quality.events for e in estimates} == {20_000}
     thin = replace(calm, estimates=estimates)
-    assert endpoint_error(thin, 2)[0] < 1.5
+    assert endpoint_error(thin, 2)[0] < 1.25 * 0.452  # a quarter above that of 0.1.0
 
 
 @pytest.mark.parametrize("count", [2000, 30_000, 150_000])

@@ -86,25 +86,15 @@ def test_silence_warns_until_events_come(clock: Clock) -> None:
 
 def test_loss_warns_once(clock: Clock) -> None:
     statistics = Statistics(clock)
-    task = Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0)
-    for reason in ("the worker is starting", "too slow", "too slow"):
-        statistics.add_dropped(task, reason)
+    events = some_events(12)
+    for first, reason in ((0, "the worker is starting"), (4, "too slow"), (8, "too slow")):
+        window = Window(first, first + 4, events[first : first + 4])
+        statistics.add_dropped(Task(window, 0, 0, "", 0.0), reason)
     report = statistics.report(2.0)
     assert report.level is Level.WARN
     assert report.message == "3 windows dropped: too slow"
-    assert report.values["windows_dropped"] == "3"
+    assert (report.values["windows_dropped"], report.values["events_dropped"]) == ("3", "12")
     assert statistics.report(2.0).level is Level.OK
-
-
-def test_events_of_overlapping_windows_that_are_dropped_count_once(clock: Clock) -> None:
-    statistics = Statistics(clock)
-    events = some_events(10)  # at 0 to 9 ns
-    for epoch in (0, 1):
-        for start in (0, 2, 4):
-            window = Window(start, start + 4, events[start : start + 4])
-            statistics.add_dropped(Task(window, epoch, 0, "", 0.0), "too slow")
-    assert statistics.counts["windows_dropped"] == 6
-    assert statistics.counts["events_dropped"] == 2 * 8
 
 
 @pytest.mark.parametrize(
@@ -198,6 +188,17 @@ def test_what_costs_estimates_is_said_before_what_costs_none(clock: Clock) -> No
     assert statistics.report(2.0).message == "no transform"
     statistics.set_problem("camera", Level.ERROR, "no calibration")
     assert statistics.report(2.0).message == "no calibration"
+
+
+def test_events_of_dropped_windows_count_once(clock: Clock) -> None:
+    """Windows that overlap, a gap, and the same times again after a jump back."""
+    statistics = Statistics(clock)
+    events = some_events(100)
+    for first, last, epoch in ((0, 40, 0), (20, 60, 0), (80, 100, 0), (0, 40, 1)):
+        window = Window(first, last, events[first:last])
+        statistics.add_dropped(Task(window, epoch, 0, "", 0.0), "too slow")
+    values = statistics.report(2.0).values
+    assert (values["windows_dropped"], values["events_dropped"]) == ("4", "120")
 
 
 def test_lost_worker_warns_with_the_reason(clock: Clock) -> None:

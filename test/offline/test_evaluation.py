@@ -90,12 +90,12 @@ def folder(tmp_path):
     return path
 
 
-def run(path, estimator=None, window_ms=100.0, **options):
+def run(path, estimator=None, window_ms=100.0, stride_ms=0.0, **options):
     with open_recording(path) as recording:
         return evaluate(
             recording,
             estimator or KnownErrors(),
-            WindowSlicer(WindowPolicy(duration_ms=window_ms)),
+            WindowSlicer(WindowPolicy(duration_ms=window_ms, stride_ms=stride_ms)),
             load_truth(recording),
             **options,
         )
@@ -203,6 +203,15 @@ def test_report_holds_the_values(folder, tmp_path):
     assert "window.duration_ms" in html
     assert html.count("data:image/png;base64,") >= 1
     assert not re.search(r'(src|href)="(?!data:|#)', html), "not self-contained"
+
+
+def test_report_counts_the_events_of_overlapping_windows_once(folder, tmp_path):
+    """Windows of 1000 events every 500, up to 550 ms: ten of them hold the first 5500 events."""
+    done = run(folder, stride_ms=50.0)
+    assert sum(w.events for w in done.windows) == 10 * 1000
+    written = write_report(done, {}, tmp_path)
+    assert json.loads(written.json.read_text())["events"] == 5500
+    assert "5 500 events" in written.html.read_text().replace("\u202f", " ")
 
 
 def test_every_result_holds_the_same_record_of_quality(folder, tmp_path):

@@ -2,7 +2,9 @@
 
 import json
 import math
+import shutil
 
+import h5py
 import numpy as np
 import pytest
 from known import ANGULAR, LINEAR, START, Known, KnownMotion, errors_of, velocity
@@ -135,6 +137,35 @@ def test_mvsec_flow(mvsec, world, form, protocol, step, policy):
     assert f"policy {policy}" in plan.description
     assert "rows from 193 on are left out" in plan.description
     assert f"every frame to number {step} after it, 3 intervals of synthetic" in plan.description
+
+
+@pytest.mark.parametrize("protocol", ["mvsec-dt1", "mvsec-dt4"])
+def test_published_truth_of_frames_closer_than_the_maps(tmp_path, mvsec, world, protocol):
+    """Frames every 30 ms, maps every 50 ms: at dt1 one map counts, at dt4 (120 ms) the chain."""
+    path = tmp_path / "frames_data.hdf5"
+    shutil.copy(mvsec["hdf5"][0], path)
+    with h5py.File(path, "a") as file:
+        del file["davis/left/image_raw_ts"]
+        file["davis/left/image_raw_ts"] = START / 1e9 + 0.02 + 0.03 * np.arange(12)
+    chosen = sequence(world.camera)
+    with Source(path, sequence=chosen).open() as recording:
+        known = load_truth(recording, [mvsec["npz"]])
+        causal, paper = (
+            make_plan(protocol, recording, known, WindowPolicy(), chosen, clips=clips)
+            for clips in ("causal", "paper")
+        )
+    t0 = START + 50 * NS_PER_MS  # frame 1; the maps meet 7 ms later
+    t1 = t0 + (30 if protocol == "mvsec-dt1" else 120) * NS_PER_MS
+    exact, published = (plan.truth.flows.displacement(t0, t1) for plan in (causal, paper))
+    assert "the first map alone" in paper.truth.flows.description
+    assert "the first map alone" not in causal.truth.flows.description
+    if protocol == "mvsec-dt4":
+        np.testing.assert_array_equal(published.displacement, exact.displacement)
+        return
+    np.testing.assert_allclose(published.displacement, 0.6 * mvsec["flow"][0], atol=1e-5)
+    known = exact.valid & published.valid
+    distance = np.linalg.norm(exact.displacement - published.displacement, axis=-1)[known]
+    assert 0.001 < distance.mean() < 1.0
 
 
 @pytest.mark.parametrize(

@@ -201,6 +201,33 @@ class TestPropagation:
             PropagatedFlow(Maps([np.ones((2, 2, 2))] * 2)).displacement(1000, 1100).moving is None
         )
 
+    def test_published_rule_scales_one_map_in_short_intervals(self):
+        """Half of each map: 1 px right and 1 px up; by the published rule all of the first."""
+        right, up = np.full((4, 5, 2), (2.0, 0.0)), np.full((4, 5, 2), (0.0, -2.0))
+        chained = PropagatedFlow(Maps([right, up, up]))
+        published = chained.as_published()
+        exact = chained.displacement(1050, 1150).displacement
+        np.testing.assert_allclose(exact[1:, :-1], np.full((3, 4, 2), (1.0, -1.0)))
+        ours = published.displacement(1050, 1140)
+        np.testing.assert_allclose(ours.displacement, np.full((4, 5, 2), (1.8, 0.0)), rtol=1e-6)
+        assert ours.valid.all()  # nothing leaves the image, as nothing is looked up there
+        assert "the first map alone, scaled" in published.description
+
+    def test_published_rule_in_uneven_maps_and_long_intervals(self):
+        """Its condition is the length of the map that the interval begins in, not of the next."""
+        rng = np.random.default_rng(5)
+        maps = Maps(rng.normal(0, 2, (6, 9, 11, 2)))
+        maps.stamps = np.array([1000, 1100, 1150, 1350, 1400, 1500])
+        chained, published = PropagatedFlow(maps), PropagatedFlow(maps).as_published()
+        scaled = {(1090, 1180): (0, 0.9), (1160, 1340): (2, 0.9), (1290, 1489): (2, 0.995)}
+        for (t0, t1), (index, share) in scaled.items():
+            ours = published.displacement(t0, t1).displacement
+            np.testing.assert_allclose(ours, share * maps.read(index), rtol=1e-5)
+        for t0, t1 in [(1120, 1170), (1090, 1190), (1000, 1500)]:
+            ours, slow = published.displacement(t0, t1), chained.displacement(t0, t1)
+            np.testing.assert_array_equal(ours.displacement, slow.displacement)
+            np.testing.assert_array_equal(ours.valid, slow.valid)
+
     @pytest.mark.parametrize(("t0", "t1"), [(999, 1050), (1050, 1101), (1050, 1050)])
     def test_nothing_outside_the_stamps(self, t0, t1):
         assert PropagatedFlow(Maps([np.ones((2, 2, 2))] * 2)).displacement(t0, t1) is None

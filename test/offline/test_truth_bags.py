@@ -69,6 +69,7 @@ def test_flow_maps_count_before_depth(simulated):
 def test_bag_without_poses(simulated):
     _, paths = simulated
     with pytest.raises(
-        InputError, match=r"no geometry_msgs/msg/PoseStamped topic; it holds /davis"
+        InputError,
+        match=r"no geometry_msgs/msg/PoseStamped or nav_msgs/msg/Odometry topic; it holds /davis",
     ):
         truth_of(paths, paths.data)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.simulation.scenes import SCENES, build_scene
-from emoflow_ros.simulation.trajectory import PITCH, ROLL, YAW, Trajectory, Wave, X, Z
+from emoflow_ros.simulation.trajectory import PITCH, ROLL, YAW, Step, Trajectory, Wave, X, Z
 
 STEP = 1e-5
 
@@ -44,3 +44,41 @@ def test_yaw_looks_right_and_pitch_looks_up() -> None:
     up = Trajectory(offset=(0, 0, 0, 0, 0.1, 0)).pose(0)[0] @ (0, 0, 1)
     np.testing.assert_allclose(right, (np.sin(0.1), 0, np.cos(0.1)))
     np.testing.assert_allclose(up, (0, -np.sin(0.1), np.cos(0.1)))
+
+
+def swinging() -> Trajectory:
+    return Trajectory(
+        offset=(0.1, 0.2, 0.3, 0.5, -0.4, 0.8),
+        waves=(Wave(YAW, 0.4, 1.0, 0.1), Wave(PITCH, 0.3, 0.6, 1.0), Wave(ROLL, 0.5, 0.5, 2.0)),
+        steps=(Step(X, 0.7, 0.2, 0.5), Step(YAW, 0.6, 0.3, 0.4)),
+        lever=(0.1, -0.05, 0.2),
+    )
+
+
+@pytest.mark.parametrize("t", [0.1, 0.35, 0.6, 0.9])
+def test_steps_and_a_lever_have_exact_derivatives(t: float) -> None:
+    path = swinging()
+    rotation, _ = path.pose(t)
+    (r0, p0), (r1, p1) = path.pose(t - STEP), path.pose(t + STEP)
+    linear, angular = path.twist(t)
+    np.testing.assert_allclose(linear, rotation.T @ (p1 - p0) / (2 * STEP), atol=1e-7)
+    skew = rotation.T @ (r1 - r0) / (2 * STEP)
+    np.testing.assert_allclose(angular, (skew[2, 1], skew[0, 2], skew[1, 0]), atol=1e-7)
+
+    def velocity(at: float) -> np.ndarray:
+        return path.pose(at)[0] @ path.twist(at)[0]
+
+    difference = (velocity(t + STEP) - velocity(t - STEP)) / (2 * STEP)
+    np.testing.assert_allclose(path.acceleration(t), difference, atol=1e-5)
+    difference = (path.twist(t + STEP)[1] - path.twist(t - STEP)[1]) / (2 * STEP)
+    np.testing.assert_allclose(path.angular_acceleration(t), difference, atol=1e-5)
+
+
+def test_a_step_goes_from_rest_to_rest() -> None:
+    path = Trajectory(steps=(Step(X, 2.0, 1.0, 0.5),))
+    for t, x in ((0.0, 0.0), (1.0, 0.0), (1.25, 1.0), (1.5, 2.0), (3.0, 2.0)):
+        np.testing.assert_allclose(path.pose(t)[1][X], x, atol=1e-12)
+    for t in (0.9, 1.0, 1.5, 1.6):  # velocity and acceleration are continuous
+        np.testing.assert_allclose(path.twist(t)[0], 0, atol=1e-12)
+        np.testing.assert_allclose(path.acceleration(t), 0, atol=1e-12)
+    np.testing.assert_allclose(path.twist(1.25)[0], (1.875 * 2.0 / 0.5, 0, 0))

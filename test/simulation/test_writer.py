@@ -2,12 +2,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.highlevel import AnyReader
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.simulation import simulate as executable
+from emoflow_ros.simulation.factors import draw_factors
 from emoflow_ros.simulation.messages import EVENT_ARRAY, OPTICAL_FRAME, MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.sensor import SensorModel
@@ -211,4 +213,46 @@ def test_executable_answers_bad_values_in_one_line(
     assert error.startswith("error: ")
     assert line in error
     assert "\n" not in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_executable_writes_random_recordings_and_what_was_drawn(
+    monkeypatch, capsys, tmp_path
+) -> None:
+    fixed = ("--set", "sensor=240x180", "--set", "motion=slider", "--set", "texture=text")
+    options = ("random", "--out", tmp_path, "--seed", 3, "--duration", 0.02, *fixed)
+    assert command(monkeypatch, *options) == 0
+    printed = capsys.readouterr().out
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        "random_data.bag",
+        "random_gt.bag",
+        "random_gt_flow_dist.npz",
+        "random_calib.yaml",
+        "random_factors.yaml",
+    }
+    factors = yaml.safe_load((tmp_path / "random_factors.yaml").read_text())
+    given = {"sensor": "240x180", "motion": "slider", "texture": "text"}
+    assert factors == draw_factors(3, given).as_dict()
+    assert "motion: slider" in printed
+    assert load_calibration(tmp_path / "random_calib.yaml").size == (240, 180)
+    assert command(monkeypatch, *options) == 2
+    assert "exists already; give --force" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("calm", "--set", "motion=calm"), "--set: the scene calm has no factors; use the scene"),
+        (("random", "--set", "motion"), "--set: 'motion'; give FACTOR=VALUE"),
+        (("random", "--set", "motoin=calm"), "unknown name 'motoin'; did you mean 'motion'?"),
+        (("random", "--noise", "1"), "--noise: is not for the scene random; fix a factor"),
+        (("random", "--refractory-us", "1"), "--refractory-us: is not for the scene random"),
+    ],
+)
+def test_executable_keeps_factors_and_options_apart(
+    monkeypatch, capsys, tmp_path, words, line
+) -> None:
+    assert command(monkeypatch, *words, "--out", tmp_path) == 2
+    assert line in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -8,6 +8,7 @@ from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.readers.base import Recording, require_camera
 from emoflow_ros.offline.readers.dsec import DsecRecording
 from emoflow_ros.offline.readers.ecd import EcdRecording
+from emoflow_ros.offline.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.offline.readers.mvsec import MvsecRecording
 from emoflow_ros.offline.readers.npz import NpzRecording
 from emoflow_ros.offline.readers.prophesee_raw import PropheseeRawRecording
@@ -22,6 +23,7 @@ READERS = (
     Aedat4Recording,
     MvsecRecording,
     DsecRecording,
+    ColumnsRecording,
     NpzRecording,
 )
 _NAMES = [reader.FORMAT for reader in READERS]

@@ -9,7 +9,14 @@ import numpy as np
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.base import refuse_imu_topic
 from emoflow_ros.offline.readers.file_recording import FileRecording
+from emoflow_ros.offline.readers.imu import Imu
+
+# The format has the acceleration in g and the rotation in deg/s.
+_ACCELERATION = ("accelerometer_x", "accelerometer_y", "accelerometer_z")
+_ANGULAR = ("gyroscope_x", "gyroscope_y", "gyroscope_z")
+_G = 9.80665  # m/s^2
 
 
 class Aedat4Recording(FileRecording):
@@ -31,6 +38,7 @@ class Aedat4Recording(FileRecording):
             )
         ((self._stream, stream),) = events.items()
         self.size = stream["width"], stream["height"]
+        self._imu = next((i for i, s in streams.items() if s["type"] == "imus"), None)
 
     @staticmethod
     def matches(path: Path) -> bool:
@@ -39,9 +47,29 @@ class Aedat4Recording(FileRecording):
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, one packet of the file at a time."""
-        return self.checked(self._decode(), since)
+        packets = self._packets()
+        events = (_to_events(p["events"]) for p in packets if p["stream_id"] == self._stream)
+        return self.checked(events, since)
 
-    def _decode(self) -> Iterator[Events]:
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Read the first IMU stream, which the events are read over for; see Recording."""
+        refuse_imu_topic(self.path, topic)
+        if self._imu is None:
+            return None
+        packets = [p["imus"] for p in self._packets() if p["stream_id"] == self._imu]
+        if not packets:
+            return None
+        rows = np.concatenate(packets)
+        acceleration = np.stack([rows[name] for name in _ACCELERATION], axis=1)
+        angular = np.stack([rows[name] for name in _ANGULAR], axis=1)
+        return Imu(
+            self.file_name,
+            rows["t"].astype(np.int64) * 1000,
+            np.radians(angular.astype(np.float64)),
+            acceleration.astype(np.float64) * _G,
+        )
+
+    def _packets(self) -> Iterator[dict[str, Any]]:
         packets = iter(self._open())
         while True:
             try:
@@ -50,8 +78,7 @@ class Aedat4Recording(FileRecording):
                 return
             except RuntimeError as error:
                 self._refuse(error)
-            if packet["stream_id"] == self._stream:
-                yield _to_events(packet["events"])
+            yield packet
 
     def _open(self) -> Any:
         try:

@@ -18,7 +18,9 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers.bag_entry import log_time_before
+from emoflow_ros.offline.readers.bag_imu import choose_imu, read_imu
 from emoflow_ros.offline.readers.base import StreamCheck, trimmed
+from emoflow_ros.offline.readers.imu import Imu
 from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
 _STORAGE_SUFFIXES = (".db3", ".mcap")
@@ -91,6 +93,15 @@ class BagRecording:
             if len(message.events):
                 return logged, int(message.events.t[0])
         return None
+
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Read an IMU topic; see Recording."""
+        connections = choose_imu(self.path, self._bag.connections, self.topic, topic)
+        if not connections:
+            return None
+        return read_imu(
+            self.path, read_messages(self.path, self._bag, connections), ros2=self._bag.is2
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -3,14 +3,16 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.imu import Imu
 
 # A few stray events are a sensor's glitch; more than this share is another sensor's geometry.
 MAX_OUTSIDE_SHARE = 0.01
@@ -44,6 +46,21 @@ class Recording(Protocol):
         """
         ...
 
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Read the readings of the recording's IMU.
+
+        Args:
+            topic: the IMU's topic in a bag; by default `imu` beside the event topic, or the only
+                one.
+
+        Returns:
+            The readings; None where the recording has no IMU.
+
+        Raises:
+            InputError: damaged data, no such topic, or several of which none is beside the events.
+        """
+        ...
+
     def __enter__(self) -> Self: ...
 
     def __exit__(
@@ -52,6 +69,25 @@ class Recording(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
+    if values.dtype == np.uint16:
+        return values
+    largest = np.iinfo(np.uint16).max
+    fits = (values >= 0) & (values < largest)
+    return np.where(fits, values, largest).astype(np.uint16)
+
+
+def refuse_imu_topic(path: Path, topic: str | None) -> None:
+    """Refuse the IMU topic that a file is asked for.
+
+    Raises:
+        InputError: there is one.
+    """
+    if topic is not None:
+        raise InputError(path, f"not a bag: no IMU topic '{topic}'", "leave the topic out")
 
 
 def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:

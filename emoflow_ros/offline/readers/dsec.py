@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.dsec_folder import DsecFolder
+from emoflow_ros.offline.readers.dsec_folder import RECTIFY_MAP, DsecFolder
 from emoflow_ros.offline.readers.file_recording import FileRecording
 from emoflow_ros.offline.readers.hdf5 import CHUNK, holds, open_hdf5, refuse, row_before
 
@@ -71,8 +71,14 @@ class DsecRecording(FileRecording):
 
     @staticmethod
     def matches(path: Path) -> bool:
-        """Whether the path is a file or a folder of this format."""
-        return DsecFolder(path).recognised or holds(path, [f"events/{name}" for name in _COLUMNS])
+        """Whether the path is a sequence's folder, or the file beside a rectify map.
+
+        Other data sets have files of the same columns, and other sensors.
+        """
+        if DsecFolder(path).recognised:
+            return True
+        is_dsec = path.with_name(RECTIFY_MAP).is_file()
+        return is_dsec and holds(path, [f"events/{name}" for name in _COLUMNS])
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events, a million at a time."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from emoflow_ros.errors import InputError
 
+RECTIFY_MAP = "rectify_map.h5"
 # As the archives of the whole data set unpack, and as those of one sequence are named.
 _EVENTS = ("events/left/events.h5", "*events_left/events.h5", "events.h5")
 _CALIBRATION = ("calibration/cam_to_cam.yaml", "*calibration/cam_to_cam.yaml", "cam_to_cam.yaml")
@@ -40,8 +41,8 @@ class DsecFolder:
 
     @property
     def rectify_map(self) -> Path:
-        """The left event camera's `rectify_map.h5`, beside the events."""
-        path = self.events.with_name("rectify_map.h5")
+        """The left event camera's rectify map, beside the events."""
+        path = self.events.with_name(RECTIFY_MAP)
         if not path.is_file():
             raise self._missing(path.relative_to(self.path), "unpack its events_left.zip again")
         return path

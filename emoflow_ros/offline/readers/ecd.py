@@ -8,17 +8,23 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck, trimmed
+from emoflow_ros.offline.readers.base import (
+    StreamCheck,
+    pixel_coordinates,
+    refuse_imu_topic,
+    trimmed,
+)
+from emoflow_ros.offline.readers.imu import Imu, read_imu_text
 
 _EVENTS = "events.txt"
-_CHUNK_BYTES = 4 << 20  # about 200 000 events
+IMU_FILE = "imu.txt"
 _OUTSIDE = np.iinfo(np.uint16).max
+_CHUNK_BYTES = 4 << 20  # about 200 000 events
 _ROW = "a line is 't x y p': seconds, pixel column, pixel row, 0 or 1"
 
 
@@ -65,6 +71,12 @@ class EcdRecording:
             while text := lines.read(_CHUNK_BYTES):
                 yield check(self._parse(text + lines.readline()))
         check.finish()
+
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Read `imu.txt` in the folder, where it is there; see Recording."""
+        refuse_imu_topic(self.path, topic)
+        file = self.path / IMU_FILE
+        return read_imu_text(file) if file.is_file() else None
 
     def __enter__(self) -> Self:
         return self
@@ -115,13 +127,8 @@ class EcdRecording:
         if not np.isfinite(rows).all():
             raise InputError(self._file, "holds values that are not finite", _ROW)
         t, x, y, p = rows.T
-        return Events(_coordinate(x), _coordinate(y), np.rint(t * NS_PER_S).astype(np.int64), p > 0)
-
-
-def _coordinate(values: NDArray[np.float64]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    fits = (values >= 0) & (values < _OUTSIDE)
-    return np.where(fits, values, _OUTSIDE).astype(np.uint16)
+        times = np.rint(t * NS_PER_S).astype(np.int64)
+        return Events(pixel_coordinates(x), pixel_coordinates(y), times, p > 0)
 
 
 def _text(path: Path, line: bytes) -> str:

@@ -9,7 +9,8 @@ from typing import Self
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import StreamCheck, trimmed
+from emoflow_ros.offline.readers.base import StreamCheck, refuse_imu_topic, trimmed
+from emoflow_ros.offline.readers.imu import Imu
 
 _ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
 
@@ -46,6 +47,11 @@ class FileRecording:
         trace: TracebackType | None,
     ) -> None:
         self.stack.close()
+
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Return nothing: see Recording. Formats that hold an IMU override it."""
+        refuse_imu_topic(self.path, topic)
+        return None
 
     def checked(self, chunks: Iterable[Events], since: int | None = None) -> Iterator[Events]:
         """Pass the events from a time on, checked against the sensor's size and for order.

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.offline.readers.base import pixel_coordinates
 from emoflow_ros.offline.readers.file_recording import FileRecording
 
 _UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
@@ -52,7 +53,7 @@ class NpzRecording(FileRecording):
             raise InputError(path, "arrays of different shapes", _LAYOUT)
         if any(a.dtype.kind not in "biuf" or not np.isfinite(a).all() for a in (x, y, t, p)):
             raise InputError(path, "values that are not finite numbers", _LAYOUT)
-        self._events = Events(_pixels(x), _pixels(y), _to_ns(t_name, t), p > 0)
+        self._events = Events(pixel_coordinates(x), pixel_coordinates(y), _to_ns(t_name, t), p > 0)
         self.size = _size(path, arrays)
         if len(x):
             self.duration = (int(self._events.t[-1]) - int(self._events.t[0])) / NS_PER_S
@@ -96,13 +97,6 @@ def _size(path: Path, arrays: dict[str, NDArray[Any]]) -> tuple[int, int]:
         raise InputError(path, "width and height are not one number each", "save the sensor's size")
     width, height = (int(v.item()) for v in values)
     return width, height
-
-
-def _pixels(values: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    largest = np.iinfo(np.uint16).max
-    fits = (values >= 0) & (values < largest)
-    return np.where(fits, values, largest).astype(np.uint16)
 
 
 def _to_ns(name: str, t: NDArray[Any]) -> NDArray[np.int64]:

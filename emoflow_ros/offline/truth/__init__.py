@@ -9,14 +9,16 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.readers.dsec_folder import DsecFolder
+from emoflow_ros.offline.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.offline.truth.bag import load_bag_truth
 from emoflow_ros.offline.truth.base import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
 from emoflow_ros.offline.truth.dsec import DsecFlow
-from emoflow_ros.offline.truth.ecd import load_gyro, load_motion, load_poses
+from emoflow_ros.offline.truth.ecd import load_gyro, load_motion
 from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
 from emoflow_ros.offline.truth.mvsec_hdf5 import is_mvsec_truth, load_mvsec_truth
 from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
 from emoflow_ros.offline.truth.odom_npz import SmoothedOdometry
+from emoflow_ros.offline.truth.tum import is_tum, load_poses
 
 __all__ = [
     "DsecFlow",
@@ -27,12 +29,15 @@ __all__ = [
     "Truth",
     "TwistSource",
     "load_truth",
+    "truth_beside",
 ]
 
-# Files that lie beside the events of an ECD folder, the best first.
+_STAMPED = "stamped_groundtruth.txt"
+# Files that lie in the folder of a recording, the best first.
 _BY_NAME: dict[str, Callable[[Path, Camera], Truth]] = {
     "motion.txt": load_motion,
     "groundtruth.txt": load_poses,
+    _STAMPED: load_poses,
     "imu.txt": load_gyro,
 }
 
@@ -43,16 +48,16 @@ def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
     Args:
         recording: the recording, with a camera.
         paths: bags or an MVSEC `*_gt.hdf5` with poses and depth, MVSEC's flow or odometry npz,
-            a DSEC sequence, ECD's `motion.txt`, `groundtruth.txt` or `imu.txt`. Without any, what
-            lies inside the recording's folder. Of several velocities the first one counts and
-            the others stand beside it, smoothed ones last; of several flows the first one
-            counts, flow maps before depth.
+            a DSEC sequence, poses as text lines `t tx ty tz qx qy qz qw`, ECD's `motion.txt` or
+            `imu.txt`. Without any, what `truth_beside` finds. Of several velocities the first one
+            counts and the others stand beside it, smoothed ones last; of several flows the first
+            one counts, flow maps before depth.
 
     Raises:
         InputError: a file that is missing or of no known format.
     """
     camera = require_camera(recording)
-    paths = paths or _inside(recording.path)
+    paths = paths or truth_beside(recording)
     parts = [_load(path, camera, recording.topic) for path in sorted(paths, key=_rank)]
     twists = [part.twists for part in parts if part.twists]
     return Truth(
@@ -63,11 +68,14 @@ def load_truth(recording: Recording, paths: Sequence[Path] = ()) -> Truth:
     )
 
 
-def _inside(path: Path) -> list[Path]:
-    """List the ground truth that lies in a recording's folder."""
+def truth_beside(recording: Recording) -> list[Path]:
+    """List the ground truth in a recording's folder, or beside its file of HDF5 columns."""
+    path = recording.path
     if DsecFolder(path).recognised:
         return [path] if DsecFolder(path).has_flow else []
-    return [path / name for name in _BY_NAME if (path / name).is_file()]
+    folder = path.parent if isinstance(recording, ColumnsRecording) else path
+    names = _BY_NAME if folder == path else (_STAMPED,)
+    return [folder / name for name in names if (folder / name).is_file()]
 
 
 def _rank(path: Path) -> int:
@@ -90,13 +98,15 @@ def _load(path: Path, camera: Camera, topic: str) -> Truth:
         return load_bag_truth(path, camera, f"/{namespace}")
     if is_mvsec_truth(path):
         return load_mvsec_truth(path, camera)
+    if is_tum(path):
+        return load_poses(path, camera)
     if DsecFolder(path).recognised:
         return Truth(flows=DsecFlow(DsecFolder(path)))
     raise InputError(
         path,
         "not ground truth of a known format",
         "give a bag, an MVSEC gt.hdf5, flow or odometry npz, a DSEC sequence, "
-        f"{' or '.join(_BY_NAME)}",
+        f"poses as lines 't tx ty tz qx qy qz qw', {' or '.join(_BY_NAME)}",
     )
 
 

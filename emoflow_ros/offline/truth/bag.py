@@ -15,16 +15,18 @@ from emoflow_ros.offline.readers.bag import deserialize, open_bag, read_messages
 from emoflow_ros.offline.truth.base import Truth
 from emoflow_ros.offline.truth.depth import DepthFlowMaps
 from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
-from emoflow_ros.offline.truth.poses import PoseTrack, PoseTwist
+from emoflow_ros.offline.truth.poses import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, pose_track
 
-_POSE = "geometry_msgs/msg/PoseStamped"
-_IMAGE = "sensor_msgs/msg/Image"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+POSE_TYPES = ("geometry_msgs/msg/PoseStamped", _ODOMETRY)  # the best first
+_POSE_NAME = "pose"  # of the camera's own topic
+IMAGE = "sensor_msgs/msg/Image"
 # On the event camera's own (distorted) pixel grid; and without distortion, with the same K.
-_DEPTH_NAMES = ("depth_image_raw", "depth_image_rect")
+DEPTH_NAMES = ("depth_image_raw", "depth_image_rect")
 
 
 def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
-    """Read ground truth in MVSEC's layout: `<camera>/pose` and `<camera>/depth_image_*`.
+    """Read poses of any name, and depth in MVSEC's layout, `<camera>/depth_image_*`.
 
     Args:
         path: a bag of any kind.
@@ -33,23 +35,50 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
             several cameras.
 
     Raises:
-        InputError: a bag without poses.
+        InputError: a bag without poses, or with several topics of which none is the camera's.
     """
     stack = ExitStack()  # depth images are read when they are needed: they keep the bag open
     reader = stack.enter_context(open_bag(path))
-    poses = _choose(path, reader, namespace, _POSE, ("pose",))
-    if poses is None:
-        there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections}))
-        raise InputError(path, f"no {_POSE} topic; it holds {there}", "give a ground-truth bag")
-    track = _read_track(path, reader, poses)
-    twists = PoseTwist(track, f"{path.name}{poses.topic}")
-    depth = _choose(path, reader, namespace, _IMAGE, _DEPTH_NAMES)
+    topic = _choose_poses(path, reader, namespace)
+    track, note = _read_track(path, reader, [c for c in reader.connections if c.topic == topic])
+    twists = PoseTwist(track, f"{path.name}{topic}", note)
+    depth = _choose(path, reader, namespace, IMAGE, DEPTH_NAMES)
     if depth is None:
         stack.close()
         return Truth(twists, poses=track)
     images = _DepthImages(path, reader, depth, camera, stack)
     maps = DepthFlowMaps(camera, track, images.stamps, images.read, f"{path.name}{depth.topic}")
     return Truth(twists, PropagatedFlow(maps), poses=track)
+
+
+def _choose_poses(path: Path, reader: AnyReader, namespace: str) -> str:
+    """Choose the camera's topic `pose`, or the only one that the first of these rules leaves.
+
+    Topics named `pose`; those in the camera's namespace; PoseStamped; Odometry.
+    """
+    types = {c.topic: c.msgtype for c in reader.connections if c.msgtype in POSE_TYPES}
+    if not types:
+        there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections}))
+        raise InputError(
+            path,
+            f"no {' or '.join(POSE_TYPES)} topic; it holds {there or 'no topics'}",
+            "give a ground-truth bag",
+        )
+    if f"{namespace}/{_POSE_NAME}" in types:
+        return f"{namespace}/{_POSE_NAME}"
+    rules = (
+        [t for t in types if t.rpartition("/")[2] == _POSE_NAME],
+        [t for t in types if t.startswith(f"{namespace}/")],
+        *([t for t in types if types[t] == kind] for kind in POSE_TYPES),
+    )
+    found = next(topics for topics in rules if topics)
+    if len(found) == 1:
+        return found[0]
+    raise InputError(
+        path,
+        f"several of {', '.join(sorted(found))}",
+        "give a bag with one of them only",
+    )
 
 
 def _choose(
@@ -68,21 +97,31 @@ def _choose(
     return None
 
 
-def _read_track(path: Path, reader: AnyReader, connection: Connection) -> PoseTrack:
+def _read_track(
+    path: Path, reader: AnyReader, connections: list[Connection]
+) -> tuple[PoseTrack, str]:
+    """Read the poses of a topic, and say whose they are, unless it is the camera's own."""
     rows = []
-    for _, _, data in read_messages(path, reader, [connection]):
+    note = "" if connections[0].topic.endswith(f"/{_POSE_NAME}") else TAKEN_AS_CAMERA
+    for connection, _, data in read_messages(path, reader, connections):
         message = deserialize(reader, connection, data)
-        p, q = message.pose.position, message.pose.orientation
+        pose = message.pose
+        if connection.msgtype == _ODOMETRY:
+            pose = pose.pose
+            note = f"poses of '{message.child_frame_id}' {TAKEN_AS_CAMERA}"
+        p, q = pose.position, pose.orientation
         rows.append((_stamp(message), (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
     if not rows:
-        raise InputError(path, f"no messages on {connection.topic}", "record it again")
+        raise InputError(path, f"no messages on {connections[0].topic}", "record it again")
     stamps, positions, quaternions = zip(*sorted(rows), strict=True)
     unique = np.unique(np.array(stamps, np.int64), return_index=True)[1]
-    return PoseTrack(
+    track = pose_track(
+        path,
         np.array(stamps, np.int64)[unique],
         np.array(positions, np.float64)[unique],
         np.array(quaternions, np.float64)[unique],
     )
+    return track, note
 
 
 class _DepthImages:

@@ -52,13 +52,25 @@ class PropagatedFlow:
     first and the last map scaled to the part of their interval that is used. A pixel that
     leaves the image or meets an unknown value has no truth. One that meets a moving object
     counts as moving.
+
+    Args:
+        maps: the flow maps.
+        published: follow the benchmark's code in intervals shorter than the map that they begin
+            in, too: it scales this one map, even where the interval reaches into the next one.
     """
 
-    def __init__(self, maps: FlowMaps) -> None:
+    def __init__(self, maps: FlowMaps, *, published: bool = False) -> None:
         self._maps = maps
+        self._published = published
         self.stamps = maps.stamps
         self._kept: OrderedDict[int, _Map] = OrderedDict()
         self.description = f"flow: {maps.name}, propagated by nearest neighbour from map to map"
+        if published:
+            self.description += "; the first map alone, scaled, in intervals shorter than it"
+
+    def as_published(self) -> "PropagatedFlow":
+        """Return the same truth by the rule of the benchmark's code."""
+        return PropagatedFlow(self._maps, published=True)
 
     def displacement(self, t0: int, t1: int) -> TrueFlow | None:
         """Displacement over [t0, t1] ns; None outside the maps' stamps."""
@@ -67,13 +79,17 @@ class PropagatedFlow:
             return None
         first = int(np.searchsorted(stamps, t0, side="right")) - 1
         last = int(np.searchsorted(stamps, t1, side="left"))
+        if self._published and t1 - t0 < stamps[first + 1] - stamps[first]:
+            last = first + 1
         height, width = self._map(first).flow.shape[:2]
         moved = np.zeros((height, width, 2))
         valid = np.ones((height, width), np.bool_)
         moving = np.zeros((height, width), np.bool_)
         for index in range(first, last):
             begin, end = int(stamps[index]), int(stamps[index + 1])
-            share = (min(end, t1) - max(begin, t0)) / (end - begin)
+            # The whole interval, where one map stands for it.
+            part = t1 - t0 if last == first + 1 else min(end, t1) - max(begin, t0)
+            share = part / (end - begin)
             flow_map = self._map(index)
             _carry(flow_map.flow, flow_map.mover, share, moved, valid, moving)
         moved[~valid] = 0

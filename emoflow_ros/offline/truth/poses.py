@@ -1,12 +1,14 @@
 """Velocity of the camera from its poses, by a declared filter."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
 from emoflow_ros.offline.truth.base import TrueTwist
 
 # The filter: a cubic polynomial fitted to the poses within this time of the query. Third order
@@ -14,6 +16,8 @@ from emoflow_ros.offline.truth.base import TrueTwist
 # a quarter of it.
 HALF_WIDTH_S = 0.15
 _ORDER = 3
+_NO_ROTATION = 1e-6
+TAKEN_AS_CAMERA = "taken as those of the event camera's optical frame"
 
 
 @dataclass(frozen=True)
@@ -47,20 +51,41 @@ class PoseTrack:
         return transform
 
 
+def pose_track(
+    path: Path,
+    stamps: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    quaternions: NDArray[np.float64],
+) -> PoseTrack:
+    """Make a track of what a file holds; see PoseTrack for the shapes.
+
+    Raises:
+        InputError: values that are not finite, or quaternions without a length.
+    """
+    if not (np.isfinite(positions).all() and np.isfinite(quaternions).all()):
+        raise InputError(path, "poses that are not finite", "leave them out")
+    empty = np.flatnonzero(np.linalg.norm(quaternions, axis=1) < _NO_ROTATION)
+    if len(empty):
+        at = stamps[empty[0]] / NS_PER_S
+        raise InputError(path, f"the quaternion at {at:.6f} s is zero", "leave such poses out")
+    return PoseTrack(stamps, positions, quaternions)
+
+
 class PoseTwist:
     """Velocity as the slope of a local cubic fit to positions and rotation vectors.
 
     Args:
         track: the poses.
         name: where they come from.
+        note: what else to say of them in the description.
     """
 
-    def __init__(self, track: PoseTrack, name: str) -> None:
+    def __init__(self, track: PoseTrack, name: str, note: str = "") -> None:
         self._track = track
         self.name = name
         self.description = (
             f"velocity: {name}, slope of a cubic least-squares fit to the poses within "
-            f"{HALF_WIDTH_S * 1000:.0f} ms"
+            f"{HALF_WIDTH_S * 1000:.0f} ms" + (f", {note}" if note else "")
         )
 
     def twist(self, t: int) -> TrueTwist | None:

@@ -1,0 +1,102 @@
+"""Random recordings by seed, simulated once and kept on disk."""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._scoring import SimulatedTruth
+from benchmarks.scoreboard.subjects import Material, Subject
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events
+from emoflow_ros.offline.truth import Truth
+from emoflow_ros.simulation.random_recording import (
+    Factors,
+    draw_factors,
+    random_truth,
+    simulate_random,
+)
+
+DURATION_S = 3.0
+# Part of the names of cached files. Count on whenever the same factors give other events.
+SIMULATOR_VERSION = 1
+
+
+@dataclass(frozen=True)
+class RandomSubject:
+    """The random recording of a seed.
+
+    Attributes:
+        seed: of its factors.
+        cache: folder of recordings that were simulated before; None simulates each time.
+        duration_s: length.
+    """
+
+    seed: int
+    cache: Path | None
+    duration_s: float = DURATION_S
+    group: str = "random"
+
+    @property
+    def name(self) -> str:
+        """The group and the seed."""
+        return f"{self.group}/{self.seed:04d}"
+
+    @property
+    def missing(self) -> Path | None:
+        """Nothing: it is simulated."""
+        return None
+
+    def load(self) -> Material:
+        """Read the events from the cache, or simulate them and put them there."""
+        factors = draw_factors(self.seed)
+        if self.cache is None:
+            made = simulate_random(factors, duration_s=self.duration_s)
+            events, camera, calibration = made.events, made.camera, made.calibration
+        else:
+            path = self.cache / f"{self.seed:04d}-{self._digest(factors)}.npz"
+            if not path.exists():
+                self._simulate(factors, path)
+            events, camera, calibration = _read(path)
+        truth = SimulatedTruth(random_truth(factors, duration_s=self.duration_s))
+        told = {name: value for name, value in factors.as_dict().items() if name != "seed"}
+        return Material(events, camera, calibration, Truth(truth, truth), factors=told)
+
+    def _digest(self, factors: Factors) -> str:
+        made_from = [SIMULATOR_VERSION, self.duration_s, factors.as_dict()]
+        text = json.dumps(made_from, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+    def _simulate(self, factors: Factors, path: Path) -> None:
+        """Write the recording in one step, so that the cache never holds a part of one."""
+        recording = simulate_random(factors, duration_s=self.duration_s)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(f".{os.getpid()}.partial")
+        cameras = [asdict(recording.camera), asdict(recording.calibration)]
+        events = recording.events
+        with partial.open("wb") as file:
+            np.savez_compressed(
+                file, x=events.x, y=events.y, t=events.t, p=events.p, cameras=json.dumps(cameras)
+            )
+        partial.replace(path)
+
+
+def random_subjects(seeds: Iterable[int], cache: Path) -> list[Subject]:
+    """List the random recordings of some seeds."""
+    return [RandomSubject(seed, cache) for seed in seeds]
+
+
+def _read(path: Path) -> tuple[Events, Camera, Camera]:
+    with np.load(path) as archive:
+        events = Events(archive["x"], archive["y"], archive["t"], archive["p"])
+        true, told = json.loads(str(archive["cameras"]))
+    return events, _camera(true), _camera(told)
+
+
+def _camera(fields: dict[str, Any]) -> Camera:
+    return Camera(**{**fields, "distortion": tuple(fields["distortion"])})

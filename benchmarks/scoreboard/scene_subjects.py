@@ -1,0 +1,43 @@
+"""Short recordings of the simulator's hand-made scenes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks._scoring import SimulatedTruth
+from benchmarks.scoreboard.subjects import Material
+from emoflow_ros.offline.truth import Truth
+from emoflow_ros.simulation.recording import simulate
+
+_FPS = 500
+
+
+@dataclass(frozen=True)
+class SceneSubject:
+    """A scene by name, simulated when it is needed.
+
+    Attributes:
+        scene: a key of `emoflow_ros.simulation.scenes.SCENES`.
+        seed: of everything in it.
+        duration_s: length.
+    """
+
+    scene: str
+    seed: int
+    duration_s: float
+    group: str = "scene"
+
+    @property
+    def name(self) -> str:
+        """Group, scene and seed."""
+        return f"{self.group}/{self.scene}-{self.seed}"
+
+    @property
+    def missing(self) -> Path | None:
+        """Nothing: it is simulated."""
+        return None
+
+    def load(self) -> Material:
+        """Simulate it, with 500 images per second."""
+        made = simulate(self.scene, duration_s=self.duration_s, seed=self.seed, fps=_FPS)
+        truth = SimulatedTruth(made.truth)
+        return Material(made.events, made.camera, made.camera, Truth(truth, truth))

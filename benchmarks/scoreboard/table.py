@@ -1,0 +1,63 @@
+"""A run as a table on the screen."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
+
+# Column's head, figure, digits.
+COLUMNS = (
+    ("est %", "covered_moving", 0),
+    ("still %", "covered_still", 0),
+    ("EPE px", "epe_px", 2),
+    ("of px", "truth_px", 1),
+    ("w deg/s", "w_rms", 2),
+    ("of", "w_true_rms", 1),
+    ("v deg", "v_median", 1),
+    ("90 %", "v_90", 0),
+    ("rev %", "v_reversed", 0),
+    ("NEES w", "nees_w", 1),
+    ("NEES v", "nees_v", 1),
+    ("conf %", "confident_wrong", 1),
+    ("lost %", "lost", 1),
+    ("after s", "settled_s", 2),
+)
+_WIDTH = 8
+
+
+def table(document: Mapping[str, Any]) -> str:
+    """Lay a run's document out: one line per recording, the rates below."""
+    recordings = document["recordings"]
+    name_width = max([10, *(len(recording["name"]) for recording in recordings)])
+    heads = "".join(f"{head:>{_WIDTH}}" for head, *_ in COLUMNS)
+    lines = [f"{'recording':<{name_width}}{heads}  verdict"]
+    for recording in recordings:
+        figures = recording["figures"]
+        numbers = "".join(f"{number(figures[key], n):>{_WIDTH}}" for _, key, n in COLUMNS)
+        lines.append(f"{recording['name']:<{name_width}}{numbers}  {_verdict(recording)}")
+    lines += ["", *_rate_lines(document["rates"])]
+    lines += [f"missing: {name}" for name in document["missing"]]
+    return "\n".join(lines)
+
+
+def number(value: float | None, digits: int) -> str:
+    """Format a figure; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.{digits}f}" if abs(value) < 1e4 else f"{value:.1e}"
+
+
+def _verdict(recording: Mapping[str, Any]) -> str:
+    words = [word for word in ("accurate", "honest") if recording[word]]
+    missed = [name for name in CRITERIA if recording["criteria"][name] is False]
+    return ", ".join(words) + (f" (missed: {' '.join(missed)})" if missed else "")
+
+
+def _rate_lines(rates: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    heads = ["accurate", *ACCURATE, "honest", *HONEST]
+    lines = [f"{'rates, %':<12}{'count':>6}" + "".join(f"{head:>10}" for head in heads)]
+    for group, found in rates.items():
+        numbers = "".join(f"{number(found[head], 0):>10}" for head in heads)
+        lines.append(f"{group:<12}{found['recordings']:>6}{numbers}")
+    return lines

@@ -1,0 +1,116 @@
+"""The scoreboard's table, report and command line."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scoreboard_tables import random_table, row
+
+from benchmarks.scoreboard import random_subjects, report
+from benchmarks.scoreboard.__main__ import _seeds
+from benchmarks.scoreboard.figures import figures_of
+from benchmarks.scoreboard.picture import event_picture
+from benchmarks.scoreboard.random_subjects import RandomSubject
+from benchmarks.scoreboard.run import Outcome, save_windows, severity
+from benchmarks.scoreboard.subjects import shared_subjects
+from benchmarks.scoreboard.summary import summarise
+from benchmarks.scoreboard.table import table
+from benchmarks.scoreboard.verdicts import judge
+from benchmarks.scoreboard.windows import WINDOW, make_windows
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.events import Events
+from emoflow_ros.errors import InputError
+
+CAMERA = Camera(96, 72, 80.0, 80.0, 48.0, 36.0)
+
+
+def outcome(name, windows):
+    figures = figures_of(windows)
+    picture = event_picture(Events.empty(), CAMERA)
+    factors = {"scene": "room"}
+    return Outcome(
+        name, name.split("/")[0], figures, judge(figures), windows, 1.0, factors, picture
+    )
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    bad = [outcome(f"random/{k:04d}", random_table(k, 20)) for k in range(11)]
+    return [
+        outcome("random/good", make_windows([row(), row()])),
+        *bad,
+        outcome("real/none", make_windows([])),
+    ]
+
+
+def test_the_report_links_to_the_worst(tmp_path: Path, outcomes, monkeypatch):
+    monkeypatch.setattr(report, "WORST", 2)
+    document = summarise(outcomes, load_config(), ["real/gone (/nowhere)"], 0.0)
+    path = report.write_report(tmp_path, outcomes, document)
+    page = path.read_text()
+    links = set(re.findall(r'href="(pages/[^"]+)"', page))
+    assert len(links) == 2
+    assert all((tmp_path / link).exists() for link in links)
+    assert "real/gone" in page
+    assert page.count('<td class="picture">') == len(outcomes)
+    assert not any("good" in link for link in links)
+
+
+def test_the_table_names_what_is_missed_and_missing(outcomes):
+    text = table(summarise(outcomes, load_config(), ["real/gone (/nowhere)"], 0.0))
+    lines = text.splitlines()
+    assert len([line for line in lines if line.startswith("random/")]) == 12
+    assert "missing: real/gone (/nowhere)" in lines
+    assert re.search(r"real/none +-.*accurate, honest", text)
+
+
+def test_the_worst_recordings_miss_most(outcomes):
+    ranked = sorted(outcomes, key=severity)
+    assert ranked[0].verdict.missed == []
+    assert len(ranked[-1].verdict.missed) == max(len(o.verdict.missed) for o in outcomes)
+
+
+def test_windows_are_stored_as_they_are(tmp_path, outcomes):
+    save_windows(tmp_path, outcomes[:2])
+    with np.load(tmp_path / "windows" / "random-0000.npz") as archive:
+        assert archive["windows"].dtype == WINDOW
+        assert archive["windows"].tobytes() == outcomes[1].windows.tobytes()  # NaN included
+    assert outcomes[1].document()["windows"] == "windows/random-0000.npz"
+
+
+def test_recordings_that_are_not_there_say_so(tmp_path):
+    missing = {subject.name: subject.missing for subject in shared_subjects(tmp_path)}
+    assert missing["independent/calm"] == tmp_path / "independent" / "calm_data.bag"
+    assert missing["real/slider_depth"] == tmp_path / "ecd" / "slider_depth"
+
+
+@pytest.mark.parametrize("text", ["5", "5:5", "a:b", "-1:4"])
+def test_seeds_are_a_range(text):
+    assert _seeds("3:6") == range(3, 6)
+    with pytest.raises(InputError, match="--seeds"):
+        _seeds(text)
+
+
+def test_random_recordings_are_simulated_once(tmp_path, monkeypatch):
+    calls = []
+    simulate, draw = random_subjects.simulate_random, random_subjects.draw_factors
+
+    def counted(factors, **options):
+        calls.append(factors)
+        return simulate(factors, **options)
+
+    monkeypatch.setattr(random_subjects, "simulate_random", counted)
+    fixed = {"sensor": "240x180", "image_motion": "2", "calibration_error": "0.02"}
+    monkeypatch.setattr(random_subjects, "draw_factors", lambda seed: draw(seed, fixed))
+    first, second = (RandomSubject(7, tmp_path, duration_s=0.1).load() for _ in range(2))
+    assert len(calls) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+    np.testing.assert_array_equal(first.events.t, second.events.t)
+    assert first.calibration == second.calibration != first.camera
+    assert first.factors["image_motion"] == 2
+    assert "seed" not in first.factors
+    uncached = RandomSubject(7, None, duration_s=0.1).load()
+    np.testing.assert_array_equal(uncached.events.t, first.events.t)
+    assert len(calls) == 2

@@ -1,0 +1,54 @@
+"""Accuracy on six short recordings against recorded figures; benchmarks/scoreboard/gates.py."""
+
+import pytest
+import yaml
+
+from benchmarks.scoreboard.gates import (
+    FILE,
+    GATES,
+    Gate,
+    failures,
+    gate_subjects,
+    measure,
+    recorded,
+)
+
+SUBJECTS = gate_subjects()
+
+
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
+def test_accuracy_is_as_recorded(subject):
+    if subject.missing:
+        pytest.skip(f"no {subject.missing}")
+    assert failures(measure(subject), recorded()[subject.name]) == []
+
+
+def test_every_recording_has_figures_of_a_date_and_version():
+    document = yaml.safe_load(FILE.read_text())
+    assert set(document["recordings"]) == {subject.name for subject in SUBJECTS}
+    assert all({"w_rms", "covered_moving"} <= set(v) for v in document["recordings"].values())
+    assert str(document["date"]) > "2024"
+    assert document["version"]
+
+
+@pytest.mark.parametrize(
+    ("gate", "recorded_value", "passes", "fails"),
+    [
+        (Gate("w_rms", 0.2), 4.0, 5.0, 5.01),
+        (Gate("w_rms", 0.2), 0.4, 0.6, 0.61),
+        (Gate("covered_moving", 5.0, least=True), 100.0, 75.0, 74.9),
+        (Gate("covered_moving", 5.0, least=True), 10.0, 5.0, 4.9),
+    ],
+)
+def test_a_gate_gives_way_by_a_quarter_or_its_slack(gate, recorded_value, passes, fails):
+    assert gate.passes(passes, recorded_value)
+    assert not gate.passes(fails, recorded_value)
+
+
+def test_a_figure_that_is_gone_fails():
+    expected = {gate.figure: 1.0 for gate in GATES}
+    assert len(failures({}, expected)) == len(GATES)
+    assert failures(expected, expected) == []
+    assert failures(expected | {"w_rms": 2.0}, expected) == [
+        "w_rms is 2.000, bound 1.250 (recorded 1.000)"
+    ]
