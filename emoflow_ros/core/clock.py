@@ -4,6 +4,10 @@ A driver stamps a message with the host's time when its first event arrived, whi
 time plus a delay that varies but is never negative. The smallest differences between stamp and
 sensor time therefore lie along the true offset (plus the smallest delay), and their slope over
 time is the drift of one clock against the other.
+
+A sensor whose times are ROS time already differs by a delay alone, and its times are left as they
+are. Such a clock may also have been set from the host's once: as soon as the differences move away
+further than they scatter, the drift is followed there, too.
 """
 
 from collections import deque
@@ -11,9 +15,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 
-# Event times closer than this to the stamps are ROS time already.
+# Event times closer than this to the stamps are ROS time, or were.
 SAME_CLOCK_NS = NS_PER_S
 
 _BUCKET_NS = NS_PER_S  # the smallest difference of each second is kept
@@ -21,6 +25,9 @@ _BUCKETS = 60
 _MIN_BUCKETS = 5  # before that a slope would be noise
 # How fast the offset may change, in ns per ns: below 1, so that time never goes back.
 _START_SLEW = 0.5
+# A clock on ROS time drifts if its differences move by more than this, and than their scatter.
+_MIN_DRIFT_NS = NS_PER_MS
+_DRIFT_IN_SCATTERS = 3.0
 _TRACKING_SLEW = 1e-3
 
 
@@ -51,7 +58,9 @@ class ClockMap:
         """Forget the offset, for example after a jump in time."""
         self.drift_ppm = 0.0
         self._first: int | None = None
-        self._identity = self._timestamps is Timestamps.SENSOR
+        self._on_ros_time = self._timestamps is Timestamps.SENSOR
+        self._scatter = 0.0  # of the smallest differences about their line, ns: the largest so far
+        self._delay = 0  # of a sensor that is on ROS time, or was; another clock hides its own
         # The offset in use is `_held` at sensor time `_since` and moves from there towards the
         # line `_target` + `drift_ppm` * (t - `_reference`).
         self._since = self._held = self._reference = self._target = 0
@@ -60,16 +69,13 @@ class ClockMap:
 
     def observe(self, sensor: int, stamp: int) -> None:
         """Take the time of a message's first event and the message's stamp, both in ns."""
+        if self._timestamps is Timestamps.SENSOR:
+            return
         difference = stamp - sensor
         if self._first is None:
-            self._first = sensor
-            self._identity |= (
-                self._timestamps is Timestamps.FUSED and abs(difference) < SAME_CLOCK_NS
-            )
-            self._since = self._reference = sensor
-            self._held = self._target = difference
-        if self._identity:
-            return
+            self._first = self._since = self._reference = sensor
+            self._aim(difference)
+            self._held = 0 if self._on_ros_time else self._target
         self._held = self.offset(sensor)
         self._since = max(self._since, sensor)
         if self._timestamps is Timestamps.HEADER:
@@ -79,9 +85,9 @@ class ClockMap:
 
     def offset(self, t: int) -> int:
         """ROS time minus sensor time at sensor time t, in ns."""
-        if self._identity:
-            return 0
-        line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
+        line = 0
+        if not self._on_ros_time:
+            line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
         reach = round(self._slew * max(0, t - self._since))
         return self._held + min(max(line - self._held, -reach), reach)
 
@@ -100,7 +106,17 @@ class ClockMap:
         self._minima.append((sensor, difference))
         if len(self._minima) < _MIN_BUCKETS:
             self._reference = sensor
-            self._target = min(d for _, d in self._minima)
+            self._aim(min(d for _, d in self._minima))
+
+    def _aim(self, difference: int) -> None:
+        """Set what the offset moves to, and decide whether the sensor is on ROS time (still)."""
+        if len(self._minima) <= _MIN_BUCKETS:  # there was no slope yet
+            fused = self._timestamps is Timestamps.FUSED
+            self._on_ros_time = fused and abs(difference) < SAME_CLOCK_NS
+            self._delay = difference if self._on_ros_time else 0
+        self._target = difference - self._delay
+        if abs(self._target) > max(_MIN_DRIFT_NS, _DRIFT_IN_SCATTERS * self._scatter):
+            self._on_ros_time = False
 
     def _fit(self) -> None:
         """Fit the line through the minima of the finished seconds (Theil-Sen)."""
@@ -113,4 +129,7 @@ class ClockMap:
         i, j = np.triu_indices(len(t), 1)
         slope = float(np.median((d[j] - d[i]) / (t[j] - t[i])))
         self.drift_ppm = slope * 1e6
-        self._target = base + round(float(np.median(d - slope * t)))
+        intercept = float(np.median(d - slope * t))
+        scatter = float(np.percentile(np.abs(d - slope * t - intercept), 90))
+        self._scatter = max(self._scatter, scatter)
+        self._aim(base + round(intercept))

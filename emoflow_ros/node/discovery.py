@@ -36,7 +36,8 @@ class TopicSearch:
 
     That is `events`, remapped or not, as soon as somebody publishes it. If it is not remapped and
     nobody publishes it, the only event topic in the graph is taken, once it has been the only one
-    for SETTLING_S.
+    for SETTLING_S. A node in a namespace takes only topics of that namespace: others are those of
+    other cameras.
 
     Args:
         node: whose graph and remapping count.
@@ -72,9 +73,9 @@ class TopicSearch:
         graph = self._published()
         if self.name in graph:
             return EventTopic(self.name, _supported(self.name, graph[self.name]))
-        if self.name != self._node.resolve_topic_name("events", only_expand=True):
+        if self._is_remapped:
             return None
-        found = _event_topics(graph)
+        found = self._inside(graph)
         if found != self._found:
             self._found, self._since = found, self._clock()
         if len(found) > 1:
@@ -89,8 +90,33 @@ class TopicSearch:
         return min(found)
 
     def others(self, taken: EventTopic) -> list[str]:
-        """Name the event topics in the graph besides the one that was taken."""
-        return sorted(topic.name for topic in _event_topics(self._published()) - {taken})
+        """Name the event topics besides the one that was taken, all of which could be taken."""
+        return sorted(topic.name for topic in self._inside(self._published()) - {taken})
+
+    def has_own(self) -> bool:
+        """Tell whether somebody publishes `events`."""
+        return self.name in self._published()
+
+    def waiting(self) -> str:
+        """Say what is waited for, and which topics of other namespaces could be chosen."""
+        line = f"waiting for events: nobody publishes {self.name}"
+        graph = self._published()
+        outside = sorted(topic.name for topic in _event_topics(graph) - self._inside(graph))
+        if self._is_remapped or not outside:
+            return line
+        return (
+            f"{line}; outside the node's namespace: {', '.join(outside)}; "
+            f"choose with --ros-args -r events:={outside[0]}"
+        )
+
+    @property
+    def _is_remapped(self) -> bool:
+        return self.name != self._node.resolve_topic_name("events", only_expand=True)
+
+    def _inside(self, graph: dict[str, str]) -> frozenset[EventTopic]:
+        """Event topics in the node's namespace."""
+        namespace = self._node.get_namespace().rstrip("/") + "/"
+        return frozenset(t for t in _event_topics(graph) if t.name.startswith(namespace))
 
     def _published(self) -> dict[str, str]:
         """Types by name, of `events` and of all topics of event types that somebody publishes."""

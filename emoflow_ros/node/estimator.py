@@ -19,7 +19,7 @@ topics in:
   events       dvs_msgs or prophesee_event_msgs EventArray, event_camera_msgs/EventPacket,
                event_array_msgs/EventArray (older drivers),
                sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
-               the graph is taken; PointCloud2 must be remapped
+               the node's namespace is taken; PointCloud2 must be remapped
   camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped
 
 topics out:

@@ -106,13 +106,13 @@ class EventInput:
         if message is None:
             return []
         self._stamp = message.stamp
-        events = self._inside(message)
-        self._statistics.add_events(len(events))
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
-        if len(events) == 0:
-            return []
+        events = self._inside(message)
         received = time.monotonic()
-        windows = self._slice(events)
+        windows = self._slice(events) if len(events) else None
+        self._statistics.add_events(0 if windows is None else len(events))
+        if windows is None:
+            return []
         self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
         frame_id = self._frame_id or message.frame_id
@@ -127,7 +127,7 @@ class EventInput:
                 raise DecodeError(f"{len(data)} bytes, more than {_MAX_BYTES}")
             return self._decoder.decode(data)
         except DecodeError as error:
-            self._statistics.counts["malformed_messages"] += 1
+            self._statistics.add_malformed()
             self._warn(f"a malformed message is left out: {error}")
             return None
 
@@ -183,20 +183,22 @@ class EventInput:
             f"{events} do not fit the calibration of a {size} one; give this sensor's calibration"
         )
 
-    def _slice(self, events: Events) -> list[Window]:
+    def _slice(self, events: Events) -> list[Window] | None:
+        """Return the windows that a message completes, None where it is left out."""
         if (events.t[1:] < events.t[:-1]).any():
-            return self._leave_out("event times within it are out of order")
+            self._leave_out("event times within it are out of order")
+            return None
         try:
             windows = self._slicer.push(events)
         except TimeJumpError as jump:
             if jump.last - jump.now < _DISORDER:
-                return self._leave_out(str(jump))
+                self._leave_out(str(jump))
+                return None
             self._start_epoch(jump.now - jump.last)
             windows = self._slicer.push(events)
         self._last = int(events.t[-1])
         return windows
 
-    def _leave_out(self, reason: str) -> list[Window]:
+    def _leave_out(self, reason: str) -> None:
         self._statistics.counts["unordered_messages"] += 1
         self._warn(f"a message is left out: {reason}")
-        return []

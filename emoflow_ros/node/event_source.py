@@ -29,8 +29,7 @@ class Callbacks:
     """Who gets what.
 
     Attributes:
-        topic: told which topic was found; again if before the first event it turns out to be
-            another one.
+        topic: told which topic was found; again if it turns out to be another one.
         events: each serialised event message.
         camera_info: each calibration; None if the node has one.
     """
@@ -44,12 +43,15 @@ class EventSource:
     """Looks for the event topic until it is there, then subscribes.
 
     A topic that nobody asked for is given up again if another one appears before its first
-    event, and the choice is open again; once events flow, another one is only named in the log.
+    event, and the choice is open again. It is given up for `events` until it is used. After that
+    another one is only named in the log.
 
     Args:
         node: to subscribe with.
         search: decides what to listen to.
         is_ready: whether messages can be taken yet.
+        is_used: whether events of the present topic have been used, and would now be mixed with
+            those of another one.
         callbacks: who gets what.
         statistics: told while there is no topic.
     """
@@ -60,11 +62,13 @@ class EventSource:
         *,
         search: TopicSearch,
         is_ready: Callable[[], bool],
+        is_used: Callable[[], bool],
         callbacks: Callbacks,
         statistics: Statistics,
     ) -> None:
         self._node = node
         self._is_ready = is_ready
+        self._is_used = is_used
         self._callbacks = callbacks
         self._statistics = statistics
         self._search = search
@@ -91,7 +95,7 @@ class EventSource:
         if not self._is_ready():
             self._statistics.set_problem("input", Level.WARN, "the worker is starting")
             return
-        if self._hears_events:
+        if self._hears_events and (self._is_used() or not self._search.has_own()):
             self._name_others()
             return
         try:
@@ -105,7 +109,7 @@ class EventSource:
             self._node.get_logger().error(str(error), throttle_duration_sec=_THROTTLE_S)
             return
         if self._topic is None:
-            waiting = f"waiting for events: nobody publishes {self._search.name}"
+            waiting = self._search.waiting()
             self._statistics.set_problem("input", Level.WARN, waiting)
             self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
 
@@ -132,6 +136,7 @@ class EventSource:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
         self._topic = None
+        self._hears_events = False
         for part in ("camera", "qos"):
             self._statistics.clear_problem(part)
 

@@ -1,5 +1,7 @@
 """The node's topics: what of a window is published where."""
 
+from contextlib import ExitStack
+
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image
@@ -13,10 +15,8 @@ from emoflow_ros.node.scale import Scale
 from emoflow_ros.node.statistics import Level, Report, Statistics
 from emoflow_ros.node.target_frame import NoTransformError
 from emoflow_ros.node.tasks import Result, Task, Wishes
-from emoflow_ros.node.twist_output import TwistOutput
+from emoflow_ros.node.twist_output import TwistOutput, make_publisher
 from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
-
-_DEPTH = 10
 
 
 class Outputs:
@@ -26,31 +26,28 @@ class Outputs:
         node: to publish with.
         options: what to publish.
         statistics: told while twists are not what was asked for.
+        made: gets what takes the topics away.
 
     Raises:
         InputError: the options need a package that is not installed.
     """
 
-    def __init__(self, node: LifecycleNode, options: NodeOptions, statistics: Statistics) -> None:
+    def __init__(
+        self, node: LifecycleNode, options: NodeOptions, statistics: Statistics, made: ExitStack
+    ) -> None:
         self._node = node
         self._options = options.output
         self._statistics = statistics
-        self._twists = TwistOutput(node, options.output)
+        self._twists = TwistOutput(node, options.output, made)
         self._scale = Scale(node, options.scale)
-        self._status = node.create_lifecycle_publisher(DiagnosticStatus, "egomotion/status", _DEPTH)
+        made.callback(self._scale.close)
+        self._status = make_publisher(node, DiagnosticStatus, "egomotion/status", made)
         self._pictures = {
-            picture: node.create_lifecycle_publisher(
-                Marker if picture is Picture.TRACKS else Image, picture, _DEPTH
+            picture: make_publisher(
+                node, Marker if picture is Picture.TRACKS else Image, picture, made
             )
             for picture in Picture
         }
-
-    def destroy(self) -> None:
-        """Take the topics away."""
-        self._twists.destroy()
-        self._scale.close()
-        for publisher in (self._status, *self._pictures.values()):
-            self._node.destroy_lifecycle_publisher(publisher)
 
     def set_scale(self, options: ScaleOptions) -> None:
         """Take the scale from somewhere else from now on."""
@@ -84,9 +81,9 @@ class Outputs:
         found = [problem for problem in problems.values() if problem]
         self._publish_status(judge_result(result, self._now(), scaling.source, found))
 
-    def publish_dropped(self, task: Task) -> None:
-        """Publish the status of a window that had to make room."""
-        self._publish_status(judge_dropped(task, self._now()))
+    def publish_dropped(self, task: Task, reason: str) -> None:
+        """Publish the status of a window that had to make room for this reason."""
+        self._publish_status(judge_dropped(task, reason, self._now()))
 
     def publish_failed(self, task: Task, reason: str) -> None:
         """Publish the status of a window that the worker failed at."""

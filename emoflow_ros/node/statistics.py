@@ -3,7 +3,7 @@
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -15,18 +15,28 @@ from emoflow_ros.node.memory import resident_mb
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200
+# Why messages may hold no event that can be used.
+_REFUSALS = {
+    "malformed_messages": "malformed messages: check the driver's message version",
+    "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
+    "unordered_messages": "messages with event times out of order: check the driver",
+    "events_outside": "events outside the calibration's image: give this sensor's calibration",
+}
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
-    "windows_dropped": "windows dropped: the estimation is slower than the events; "
-    "give longer windows, or fewer estimator.max_events",
-    "malformed_messages": "malformed messages: check the driver's message version",
-    "unordered_messages": "messages with event times out of order: check the driver",
-    "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
+    "windows_dropped": "windows dropped: {drop}",
+    **{name: line for name, line in _REFUSALS.items() if name != "events_outside"},
     "time_jumps": "jumps in event time: the estimation starts anew",
 }
-_ALSO_COUNTED = ("messages", "events", "events_dropped", "events_outside", "seq_gaps")
+_ALSO_COUNTED = (
+    *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
+)
+# Parts that have problems, first those whose problems cost most. Of the latter whatever else is as
+# bad costs more: there are estimates nevertheless.
+_PARTS = ("worker", "input", "qos", "camera", "frame")
+_MILD = ("scale", "device")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)
 
@@ -71,17 +81,24 @@ class Statistics:
         self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)
         self._last_result: Result | None = None
         self._last_loss = ""
+        self._last_drop = ""
         self._dropped = DistinctEvents()
         self._dropped_epoch: int | None = None
-        self._last_event = clock()
+        self._last_message = self._last_event = clock()
         self._reported = (clock(), Counter[str]())
 
     def add_events(self, count: int) -> None:
-        """Count the events of one message."""
+        """Count the events of one message that can be used."""
         self.counts["messages"] += 1
         self.counts["events"] += count
+        self._last_message = self._clock()
         if count:
-            self._last_event = self._clock()
+            self._last_event = self._last_message
+
+    def add_malformed(self) -> None:
+        """Count a message that cannot be read."""
+        self.counts["malformed_messages"] += 1
+        self._last_message = self._clock()
 
     def add_result(self, result: Result) -> None:
         """Count an estimate, usable or not, and its latency since the window was complete."""
@@ -89,7 +106,7 @@ class Statistics:
         self._latencies.append(self._clock() - result.task.received)
         self._last_result = result
 
-    def add_dropped(self, task: Task) -> None:
+    def add_dropped(self, task: Task, reason: str) -> None:
         """Count a window that had to make room for newer ones, and its events.
 
         Events that another dropped window held, too, are counted once.
@@ -100,15 +117,23 @@ class Statistics:
         self._dropped.add(task.window)
         self.counts["windows_dropped"] += 1
         self.counts["events_dropped"] = self._dropped.count
+        self._last_drop = reason
 
     def add_loss(self, loss: Loss) -> None:
         """Count a window or a worker that was lost, or both."""
         self.counts["worker_restarts"] += loss.worker
         self.counts["windows_failed"] += loss.task is not None
+        self.counts["internal_errors"] += bool(loss.trace)
         self._last_loss = loss.reason
 
     def set_problem(self, part: str, level: Level, message: str) -> None:
-        """State what is wrong with a part of the node, until it is cleared."""
+        """State what is wrong with a part of the node, until it is cleared.
+
+        Raises:
+            ValueError: there is no such part.
+        """
+        if part not in _PARTS + _MILD:
+            raise ValueError(f"no part of the node is called {part}")
         self.problems[part] = (level, message)
 
     def clear_problem(self, part: str) -> None:
@@ -141,15 +166,43 @@ class Statistics:
         return Report(level, message, values)
 
     def _verdict(self, now: float, recent: Counter[str], silence_s: float) -> tuple[Level, str]:
-        if self.problems:
-            return max(self.problems.values())
-        if now - self._last_event > silence_s:
-            silent = now - self._last_event
-            return Level.WARN, f"no events for {silent:.1f} s: check the driver or the bag"
+        """Choose the first of the worst reasons."""
+        reasons = self._reasons(now, recent, silence_s)
+        return max(reasons, key=lambda reason: reason[0], default=(Level.OK, "running"))
+
+    def _reasons(
+        self, now: float, recent: Counter[str], silence_s: float
+    ) -> Iterator[tuple[Level, str]]:
+        """Say what holds, first what costs most."""
+        yield from (self.problems[part] for part in _PARTS if part in self.problems)
+        if recent["internal_errors"]:
+            yield (
+                Level.ERROR,
+                f"{recent['internal_errors']} errors in the node, their tracebacks are in the log: "
+                f"{self._last_loss}",
+            )
+        if "input" not in self.problems:
+            yield from self._silence(now, recent, silence_s)
         for name, reason in _WARNINGS.items():
             if recent[name]:
-                return Level.WARN, f"{recent[name]} {reason.format(loss=self._last_loss)}"
-        return Level.OK, "running"
+                text = reason.format(loss=self._last_loss, drop=self._last_drop)
+                yield Level.WARN, f"{recent[name]} {text}"
+        yield from _without_estimates(recent)
+        yield from (self.problems[part] for part in _MILD if part in self.problems)
+
+    def _silence(
+        self, now: float, recent: Counter[str], silence_s: float
+    ) -> Iterator[tuple[Level, str]]:
+        silent = now - self._last_event
+        if silent <= silence_s:
+            return
+        if now - self._last_message > silence_s:
+            yield Level.WARN, f"no events for {silent:.1f} s: check the driver or the bag"
+            return
+        for name, reason in _REFUSALS.items():
+            if recent[name]:
+                yield Level.ERROR, f"nothing to use for {silent:.1f} s: {recent[name]} {reason}"
+        yield Level.WARN, f"messages without events for {silent:.1f} s: check the camera"
 
     def _quality(self) -> dict[str, str]:
         values = {}
@@ -164,3 +217,18 @@ class Statistics:
             values["iterations"] = str(estimate.quality.iterations)
             values["stop_reason"] = estimate.quality.stop_reason
         return values
+
+
+def _without_estimates(recent: Counter[str]) -> Iterator[tuple[Level, str]]:
+    """Say why all windows were estimated in vain."""
+    few, still = (recent[f"windows_{s}"] for s in (Status.TOO_FEW_EVENTS, Status.NO_MOTION))
+    if recent[f"windows_{Status.OK}"]:
+        return
+    if few:
+        yield (
+            Level.WARN,
+            f"{few} windows with too few events, and none with enough: the camera is at rest, or "
+            "estimator.min_events is too high for its windows",
+        )
+    elif still:
+        yield Level.OK, f"running, no motion in {still} windows"

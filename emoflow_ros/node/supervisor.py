@@ -4,10 +4,11 @@ import contextlib
 import multiprocessing
 import signal
 import threading
-import time
+import traceback
 from collections.abc import Callable
 from dataclasses import asdict
 from multiprocessing.process import BaseProcess
+from queue import SimpleQueue
 from typing import Any
 
 from emoflow_ros.core.camera import Camera
@@ -19,7 +20,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.node.answer import unpack
 from emoflow_ros.node.channel import Arrays, Channel
 from emoflow_ros.node.queue import DropOldestQueue
-from emoflow_ros.node.tasks import Loss, Notice, Outcome, Task, Wishes
+from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Task
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
@@ -35,24 +36,26 @@ class WorkerDiedError(Exception):
 
 
 class Supervisor:
-    """Runs tasks through a worker process, one at a time, in a thread of its own.
+    """Runs jobs through a worker process, one at a time, in a thread of its own.
 
     A worker that dies or takes longer than `timeout_s` is replaced; that costs the window it
     was working on. The replacement is forked from a server process that has the estimator's
     modules loaded already. Where CUDA fails a worker and `may_use_cpu` is set, the next ones
-    estimate on the CPU.
+    estimate on the CPU. Any other error in the thread costs the worker, too, and is an outcome
+    with its traceback.
 
     Args:
         capacity: windows that may wait; one more drops the oldest.
         timeout_s: time for one window.
         may_use_cpu: whether to go on without the device that is asked for.
-        on_outcome: called in the supervisor's thread with what became of a task or the worker.
+        wake: called in the supervisor's thread when there is an outcome.
         factory: `module:function` that makes the estimator in the worker.
 
     Attributes:
-        queue: where tasks are put.
+        queue: where jobs are put.
+        outcomes: what became of the jobs and the worker.
         ready: set once the first worker is warm.
-        wishes: what results hold besides the estimate.
+        obstacle: why nothing is estimated at the moment; empty while the worker answers.
     """
 
     def __init__(
@@ -61,23 +64,23 @@ class Supervisor:
         capacity: int,
         timeout_s: float,
         may_use_cpu: bool,
-        on_outcome: Callable[[Outcome], None],
+        wake: Callable[[], None],
         factory: str = FACTORY,
     ) -> None:
-        self.queue: DropOldestQueue[Task] = DropOldestQueue(capacity)
+        self.queue: DropOldestQueue[Job] = DropOldestQueue(capacity)
+        self.outcomes: SimpleQueue[Outcome] = SimpleQueue()
         self.ready = threading.Event()
-        self.wishes = Wishes()
+        self.obstacle = "the worker is starting"
         self._timeout_s = timeout_s
         self._may_use_cpu = may_use_cpu
         self._on_cpu = False  # because the device failed
-        self._on_outcome = on_outcome
+        self._wake = wake
         self._factory = factory
         self._context = multiprocessing.get_context("forkserver")
         # The factory imports its estimators late; that of the default profile is wanted at once.
         self._context.set_forkserver_preload(
             [factory.partition(":")[0], "emoflow_ros.core.lattice_estimator", serve.__module__]
         )
-        self._setup: tuple[Camera, Config] | None = None
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
         self._task: Task | None = None
@@ -104,19 +107,17 @@ class Supervisor:
             self.stop()
             raise InputError("estimator.device", str(error), _FIX) from None
 
-    def configure(self, camera: Camera, config: Config) -> None:
-        """Set what the next windows are estimated with. Windows wait until this was called."""
-        self._setup = (camera, config)
-
-    def unconfigure(self) -> None:
-        """Let windows wait until `configure` is called again."""
-        self._setup = None
-
     @property
     def pid(self) -> int | None:
         """The worker's process id, None while there is none."""
         process = self._process
         return None if process is None else process.pid
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the thread has ended although nobody stopped it."""
+        started = self._thread.ident is not None
+        return started and not self._thread.is_alive() and not self._stopping.is_set()
 
     def stop(self) -> None:
         """End the worker at once, also in the middle of a window."""
@@ -130,65 +131,67 @@ class Supervisor:
         # The server process and its workers inherit this thread's mask: Ctrl-C is for the node.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         pause = _IDLE_S
-        while not self._stopping.is_set():
-            try:
-                if self._channel is None:
-                    self._start_worker()
-                if not self.ready.is_set():  # a replacement has windows waiting
-                    self._warm_up()
-                    self.ready.set()
-                answered = self._serve_next()
-            except WorkerDiedError as error:
-                if self._stopping.is_set():
-                    break
-                self._lose_worker(str(error))
-                self._stopping.wait(pause)
-                pause = min(2 * pause, _LONGEST_PAUSE_S)
-            else:
-                if answered:
-                    pause = _IDLE_S
-        self._kill()
+        try:
+            while not self._stopping.is_set():
+                try:
+                    answered = self._advance()
+                except Exception as error:  # a thread that ended would leave a node that lives on
+                    if self._stopping.is_set():
+                        break
+                    self._lose_worker(error)
+                    self._stopping.wait(pause)
+                    pause = min(2 * pause, _LONGEST_PAUSE_S)
+                else:
+                    pause = _IDLE_S if answered else pause
+        finally:
+            self._kill()
 
-    def _serve_next(self) -> bool:
-        """Run the oldest task, if there is one and the camera is known."""
-        setup = self._setup
-        if setup is None:
-            self._stopping.wait(_IDLE_S)
-            return False
-        task = self._task = self.queue.get(_IDLE_S)
-        if task is None:
+    def _advance(self) -> bool:
+        """Start a worker if there is none, and run the oldest job if there is one."""
+        if self._channel is None:
+            self._start_worker()
+        if not self.ready.is_set():  # a replacement has windows waiting
+            self._warm_up()
+            self.ready.set()
+        job = self.queue.get(_IDLE_S)
+        if job is None:
             self._check_idle_worker()
             return False
-        setup = self._setup or setup  # what holds now that a window has come
-        if setup != self._configured:
-            self._configure(*setup)
+        self._task = job.task
+        self._serve(job)
+        return True
+
+    def _serve(self, job: Job) -> None:
+        if (job.camera, job.config) != self._configured:
+            self._configure(job.camera, job.config)
+        task, window = job.task, job.task.window
         cold = task.epoch != self._epoch
         if cold:
             self._last_twist = -1
         self._epoch = task.epoch
-        window, wishes = task.window, self.wishes
         header, arrays = self._request(
             {
                 "kind": "window",
                 "t_start": window.t_start,
                 "t_end": window.t_end,
                 "cold": cold,
-                "wishes": asdict(wishes),
-                "times": self._twist_times(window, wishes.twist_rate),
+                "wishes": asdict(job.wishes),
+                "times": self._twist_times(window, job.wishes.twist_rate),
             },
             {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
         )
         if header.get("fatal"):
             self._fail_over(header)
             raise WorkerDiedError(f"a window failed: {header['error']}")
+        outcome: Outcome
         if "error" in header:
-            self._on_outcome(Loss(f"a window failed: {header['error']}", worker=False, task=task))
+            outcome = Loss(f"a window failed: {header['error']}", worker=False, task=task)
         else:
-            result = unpack(task, header, arrays)
-            if result.twists:
-                self._last_twist = result.twists[-1].t
-            self._on_outcome(result)
-        return True
+            outcome = unpack(task, header, arrays)
+            if outcome.twists:
+                self._last_twist = outcome.twists[-1].t
+        self._task = None
+        self._tell(outcome)
 
     def _twist_times(self, window: Window, rate: float) -> list[int] | None:
         """Choose the times of a window's twists: None is the middle."""
@@ -215,7 +218,7 @@ class Supervisor:
         if not (answer["device"] and self._may_use_cpu) or self._on_cpu:
             return False
         self._on_cpu = True
-        self._on_outcome(Notice(f"{answer['error']}; estimating on the CPU until configured anew"))
+        self._tell(Notice(f"{answer['error']}; estimating on the CPU until configured anew"))
         return True
 
     def _start_worker(self) -> None:
@@ -229,7 +232,8 @@ class Supervisor:
             raise WorkerDiedError(f"the worker cannot be started ({error})") from None
         finally:
             its.close()
-        self._process, self._channel, self._configured = process, Channel(mine), None
+        self._process, self._configured = process, None
+        self._channel = Channel(mine, stall_s=self._timeout_s)
         if self._stopping.is_set():
             raise WorkerDiedError("stopped")
 
@@ -241,22 +245,19 @@ class Supervisor:
     def _request(
         self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None
     ) -> tuple[dict[str, Any], Arrays]:
-        """Send a request and wait for the answer; past the time the worker is killed."""
+        """Send a request and wait for the answer, for as long as it may take."""
         assert self._channel is not None
         limit = self._timeout_s if timeout_s is None else timeout_s
-        started = time.monotonic()
-        watchdog = threading.Timer(limit, self._kill)
-        watchdog.start()
         try:
             self._channel.send(header, arrays)
-            return self._channel.receive()
+            answer = self._channel.receive(limit)
+        except TimeoutError:
+            reason = f"the worker gave no answer in {limit:g} s and was ended"
+            raise WorkerDiedError(reason) from None
         except (EOFError, OSError):
-            pass
-        finally:
-            watchdog.cancel()
-        if time.monotonic() - started >= limit:
-            raise WorkerDiedError(f"the worker gave no answer in {limit:g} s and was ended")
-        raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
+            raise WorkerDiedError(f"the worker died ({self._exit_reason()})") from None
+        self.obstacle = ""
+        return answer
 
     def _check_idle_worker(self) -> None:
         """Notice a death between two windows, which then costs none."""
@@ -270,13 +271,26 @@ class Supervisor:
         code = self._process.exitcode
         return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
 
-    def _lose_worker(self, reason: str) -> None:
+    def _lose_worker(self, error: Exception) -> None:
+        """End the worker, so that the next one starts from nothing, and tell why."""
+        if isinstance(error, WorkerDiedError):
+            reason, trace = f"{error}; it is started again", ""
+        else:
+            name = type(error).__name__
+            reason = f"an error in the node ({name}: {error}); the worker is started again"
+            trace = traceback.format_exc()
+        self.obstacle = reason
         self._kill()
         if self._channel is not None:
             self._channel.close()
             self._channel = None
-        self._on_outcome(Loss(f"{reason}; it is started again", worker=True, task=self._task))
-        self._task = None
+        task, self._task = self._task, None
+        with contextlib.suppress(Exception):  # of `wake`: the outcome is there nevertheless
+            self._tell(Loss(reason, worker=True, task=task, trace=trace))
+
+    def _tell(self, outcome: Outcome) -> None:
+        self.outcomes.put(outcome)
+        self._wake()
 
     def _kill(self) -> None:
         process = self._process

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.twist import Twist
 from emoflow_ros.core.windows import Window
@@ -10,7 +12,7 @@ from emoflow_ros.node.channel import Arrays
 
 @dataclass(frozen=True)
 class Task:
-    """A window on its way through the worker.
+    """A window on its way through the node.
 
     Attributes:
         window: what to estimate.
@@ -56,6 +58,16 @@ class Wishes:
 
 
 @dataclass(frozen=True)
+class Job:
+    """A task with all that the worker needs for it, as it was when the task was handed over."""
+
+    task: Task
+    camera: Camera
+    config: Config
+    wishes: Wishes = field(default_factory=Wishes)
+
+
+@dataclass(frozen=True)
 class Result:
     """A task's answer: the estimate without its samplers, and what was wished for.
 
@@ -85,11 +97,13 @@ class Loss:
         reason: one line.
         worker: whether the worker was lost and is started again.
         task: the window; None when the worker was lost between two windows.
+        trace: the traceback of an error in the node itself; empty for all others.
     """
 
     reason: str
     worker: bool
     task: Task | None = field(default=None, compare=False)
+    trace: str = ""
 
 
 @dataclass(frozen=True)

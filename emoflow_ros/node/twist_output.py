@@ -1,5 +1,8 @@
 """The egomotion's topics: twists at the scale and in the frame that were asked for."""
 
+from contextlib import ExitStack
+from typing import Any
+
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from rclpy.lifecycle import LifecycleNode
 
@@ -12,31 +15,33 @@ from emoflow_ros.node.tasks import Result
 _DEPTH = 10
 
 
+def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
+    """Make a publisher that publishes while the node is active; `made` gets what takes it away."""
+    publisher = node.create_lifecycle_publisher(message_type, topic, _DEPTH)
+    made.callback(node.destroy_lifecycle_publisher, publisher)
+    return publisher
+
+
 class TwistOutput:
     """Publishes twists with stamps that increase, also where the clocks' offset is corrected.
 
     Args:
         node: to publish with.
         options: in which frame.
+        made: gets what takes the topics away.
 
     Raises:
         InputError: tf is asked for and not installed.
     """
 
-    def __init__(self, node: LifecycleNode, options: OutputOptions) -> None:
-        self._node = node
+    def __init__(self, node: LifecycleNode, options: OutputOptions, made: ExitStack) -> None:
         self._frame = make_target_frame(node, options)
+        made.callback(self._frame.close)
         self._last = (-1, 0)  # epoch and stamp
-        self._twist = node.create_lifecycle_publisher(TwistStamped, "egomotion/twist", _DEPTH)
-        self._with_covariance = node.create_lifecycle_publisher(
-            TwistWithCovarianceStamped, "egomotion/twist_with_covariance", _DEPTH
+        self._twist = make_publisher(node, TwistStamped, "egomotion/twist", made)
+        self._with_covariance = make_publisher(
+            node, TwistWithCovarianceStamped, "egomotion/twist_with_covariance", made
         )
-
-    def destroy(self) -> None:
-        """Take the topics away."""
-        self._frame.close()
-        self._node.destroy_lifecycle_publisher(self._twist)
-        self._node.destroy_lifecycle_publisher(self._with_covariance)
 
     def publish(self, result: Result, factor: float) -> None:
         """Publish a window's twists, their linear part times this factor.

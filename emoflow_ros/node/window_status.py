@@ -45,10 +45,9 @@ def judge_result(
     return Report(level, "; ".join([_message(estimate), *problems]), common | values)
 
 
-def judge_dropped(task: Task, now: int) -> Report:
-    """Judge a window that had to make room for newer ones; `now` is ROS time, ns."""
-    reason = "dropped: the estimation is slower than the events"
-    return Report(Level.WARN, reason, _lost(task, now, "dropped"))
+def judge_dropped(task: Task, reason: str, now: int) -> Report:
+    """Judge a window that had to make room for newer ones, and why; `now` is ROS time, ns."""
+    return Report(Level.WARN, f"dropped: {reason}", _lost(task, now, "dropped"))
 
 
 def judge_failed(task: Task, reason: str, now: int) -> Report:

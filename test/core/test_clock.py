@@ -68,6 +68,43 @@ def test_event_times_on_ros_time_stay_as_they_are():
     assert clock.to_ros(OFFSET) == OFFSET
 
 
+@pytest.mark.parametrize("drift_ppm", [-100.0, 100.0])
+def test_sensor_clock_that_was_set_from_the_host_is_followed_when_it_drifts(drift_ppm):
+    clock = ClockMap(Timestamps.FUSED)
+    for sensor, true, stamp in messages(np.random.default_rng(5), 300, drift_ppm):
+        clock.observe(sensor, stamp - OFFSET)
+        error = clock.to_ros(sensor) - (true - OFFSET)
+        assert abs(error) < 3 * MS  # unfollowed it would grow to 30 ms
+    assert clock.drift_ppm == pytest.approx(drift_ppm, abs=1.0)
+
+
+def test_delay_of_events_on_ros_time_stays_out_of_their_stamps():
+    clock = ClockMap(Timestamps.FUSED)
+    for sensor, true, stamp in messages(np.random.default_rng(6), 120, 0.0):
+        clock.observe(sensor, stamp - OFFSET + 20 * MS)
+        assert clock.to_ros(sensor) == true - OFFSET
+
+
+@pytest.mark.parametrize("few_first", [True, False])
+def test_stamps_that_scatter_move_no_event_on_ros_time(few_first):
+    """As of a stream whose stamps are the starts of periods, with few events and with many."""
+    clock = ClockMap(Timestamps.FUSED)
+    rng = np.random.default_rng(8)
+    for k in range(12_000):
+        start = 5 * S + k * 10 * MS
+        first = start + int(rng.exponential(3 * MS if (k < 6000) is few_first else 0.001 * MS))
+        clock.observe(first, start)
+        assert clock.offset(first) == 0
+
+
+def test_first_message_that_comes_late_does_not_decide_on_the_clock():
+    clock = ClockMap(Timestamps.FUSED)
+    clock.observe(4990 * MS, 4990 * MS + 1200 * MS)
+    for sensor, _, stamp in messages(np.random.default_rng(7), 10, 0.0):
+        clock.observe(sensor, stamp - OFFSET + 20 * MS)
+    assert abs(clock.offset(sensor)) < 0.3 * MS  # the 20 ms are delay, as of any other message
+
+
 def test_smallest_delay_counts_from_the_start():
     clock = ClockMap(Timestamps.FUSED)
     for k, delay in enumerate([8, 3, 5, 1, 9, 4]):

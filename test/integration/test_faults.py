@@ -114,6 +114,24 @@ def test_camera_info_of_another_sensor_starts_windows_anew(
     assert recorder.output.count("calibration: ") == 2
 
 
+def test_calibration_of_another_size_is_said_while_messages_come(
+    peer: Peer, recorder: SharedNode
+) -> None:
+    recorder.start(peer, {"input.silence_s": 0.5})
+    peer.connect()
+    peer.publish_camera(SMALL)
+    peer.spin_until(lambda: "calibration: 32x24" in recorder.output, "the calibration")
+    run_windows(peer, 1000, 1101, pause_s=0.01)
+    peer.spin_until(lambda: peer.status()["wrong_size_messages"] != "0", "the count")
+    before = len(peer.diagnostics)
+    run_windows(peer, 1105, 1501, pause_s=0.01)
+    peer.spin_until(lambda: "nothing to use for" in peer.status()["message"], "the reason", 2.0)
+    reason = "messages of another sensor size: give this sensor's calibration"
+    assert reason in peer.status()["message"]
+    assert peer.diagnostics[-1].status[0].level == b"\x02"
+    assert not [d for d in peer.diagnostics[before:] if "no events" in d.status[0].message]
+
+
 @pytest.mark.parametrize(
     ("size", "reason"), [((0, 0), "size 0x0"), ((60_000, 60_000), "size 60000x60000")]
 )
@@ -193,3 +211,20 @@ def test_two_nodes_in_namespaces_do_not_mix(processes: Processes) -> None:
         right.spin_until(lambda: len(received["right"]) == 2, "the right twists")
         assert {t.twist.angular.z for t in received["left"]} == {64.0}
         assert {t.twist.angular.z for t in received["right"]} == {32.0}
+
+
+def test_camera_that_starts_late_is_waited_for_in_its_namespace(processes: Processes) -> None:
+    with Peer("/left/events") as left:
+        node = processes.start_fake("Recorder", "-r", "__ns:=/right")
+        waiting = (
+            "waiting for events: nobody publishes /right/events; "
+            "outside the node's namespace: /left/events"
+        )
+        left.spin_until(lambda: waiting in left.status()["message"], "the question")
+        left.spin_for(1.5)  # longer than the graph takes to settle
+        assert left.events.get_subscription_count() == 0
+        with Peer("/right/events") as right:
+            right.connect()
+            assert left.events.get_subscription_count() == 0
+        assert "listening to /right/events" in processes.output(node)
+        assert "listening to /left/events" not in processes.output(node)

@@ -1,9 +1,14 @@
 """What the node refuses over DDS, and in how many lines it says so."""
 
+import importlib.util
 from pathlib import Path
 
 import pytest
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from shared_node import SharedNode
 
 from emoflow_ros.core.camera import Camera
@@ -90,6 +95,28 @@ def test_missing_calibration_is_logged_once_windows_wait(peer: Peer, processes: 
     assert len(said) == 1  # three windows, throttled
     assert said[0].startswith("[WARN]")
     assert said[0].endswith(f"windows wait: {line}")
+
+
+def test_configuring_that_fails_takes_everything_back(peer: Peer, processes: Processes) -> None:
+    """As with a target frame and without tf2_ros; the node is configured once that is mended."""
+    node = processes.start_fake(
+        "Recorder", "-p", "autostart:=false", "-p", "output.target_frame:=base_link"
+    )
+
+    def change(transition: int) -> bool:
+        wish = Transition(id=transition)
+        return bool(peer.call(ChangeState, "/estimator/change_state", transition=wish).success)
+
+    if importlib.util.find_spec("tf2_ros"):
+        pytest.skip("tf2_ros is installed")
+    assert not change(Transition.TRANSITION_CONFIGURE)
+    assert "tf needs the package tf2_ros" in processes.output(node)
+    mended = [Parameter("output.target_frame", value="").to_parameter_msg()]
+    answer = peer.call(SetParameters, "/estimator/set_parameters", parameters=mended)
+    assert [result.reason for result in answer.results] == [""]
+    assert change(Transition.TRANSITION_CONFIGURE)
+    assert change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
+    assert processes.output(node).count("[ERROR]") == 1
 
 
 def test_another_sensor_is_refused_before_a_calibration(peer: Peer, recorder: SharedNode) -> None:

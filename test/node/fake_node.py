@@ -22,11 +22,21 @@ class FakePublisher:
 
 
 class FakeNode:
-    """Its publishers have as many subscribers as a test says."""
+    """Its publishers have as many subscribers as a test says; the log holds (level, line)."""
 
     def __init__(self) -> None:
         self.publishers: dict[str, FakePublisher] = {}
         self.now = 0
+        self.log: list[tuple[str, str]] = []
+
+    def get_logger(self) -> Any:
+        def level(name: str) -> Any:
+            return lambda line, **kwargs: self.log.append((name, line))
+
+        return SimpleNamespace(**{name: level(name) for name in ("info", "warning", "error")})
+
+    def resolve_topic_name(self, name: str, *, only_expand: bool = False) -> str:
+        return f"/{name}"
 
     def create_lifecycle_publisher(self, message_type: Any, topic: str, depth: int) -> Any:
         self.publishers[topic] = FakePublisher(message_type)

@@ -9,7 +9,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
 class Graph:
-    """Stands for a node: topics with their type, and a remapping of `events`.
+    """Stands for a node: topics with their type, a namespace, and a remapping of `events`.
 
     Attributes:
         topics: published ones, with their type.
@@ -18,19 +18,25 @@ class Graph:
         log: lines, as (level, text).
     """
 
-    def __init__(self, topics: dict[str, str], events: str = "/events") -> None:
+    def __init__(self, topics: dict[str, str], events: str = "", namespace: str = "/") -> None:
         self.topics = topics
         self.now = 0.0
         self.callbacks: dict[str, Callable[..., None]] = {}
         self.log: list[tuple[str, str]] = []
         self.tick: Callable[[], None] | None = None
+        self._namespace = namespace
         self._events = events
 
     def clock(self) -> float:
         return self.now
 
     def resolve_topic_name(self, name: str, *, only_expand: bool = False) -> str:
-        return self._events if name == "events" and not only_expand else f"/{name}"
+        if name == "events" and self._events and not only_expand:
+            return self._events
+        return f"{self._namespace.rstrip('/')}/{name}"
+
+    def get_namespace(self) -> str:
+        return self._namespace
 
     def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
         return [(name, [ros_type]) for name, ros_type in self.topics.items()]

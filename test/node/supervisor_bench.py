@@ -1,34 +1,43 @@
 """A supervisor in tests, with what came out of it."""
 
-import queue
 import time
 
 import numpy as np
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import Config
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Loss, Notice, Outcome, Result, Task
+from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task, Wishes
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 WAIT_S = 60.0
 
 
 class Bench:
-    """A supervisor with its outcomes."""
+    """A supervisor with its outcomes.
+
+    Attributes:
+        camera, config, wishes: of the jobs that are put.
+        wake: called by the supervisor.
+    """
 
     def __init__(
         self, estimator: str, *, timeout_s: float = 10.0, may_use_cpu: bool = False
     ) -> None:
-        self.outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
+        self.camera = CAMERA
+        self.config = Config()
+        self.wishes = Wishes()
+        self.wake = lambda: None
         self.supervisor = Supervisor(
             capacity=8,
             timeout_s=timeout_s,
             may_use_cpu=may_use_cpu,
-            on_outcome=self.outcomes.put,
+            wake=lambda: self.wake(),
             factory=f"fake_estimators:{estimator}",
         )
+        self.outcomes = self.supervisor.outcomes
 
     def put(self, *, x: int = 0, count: int = 5, t: int = 1000, epoch: int = 0) -> None:
         events = Events(
@@ -38,7 +47,7 @@ class Bench:
             np.ones(count, bool),
         )
         task = Task(Window(t, t + 100, events), epoch, 0, "camera", time.monotonic())
-        self.supervisor.queue.put(task)
+        self.supervisor.queue.put(Job(task, self.camera, self.config, self.wishes))
 
     def result(self) -> Result:
         outcome = self.outcomes.get(timeout=WAIT_S)

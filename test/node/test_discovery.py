@@ -82,6 +82,25 @@ def test_topics_of_other_types_do_not_disturb_the_settling() -> None:
     assert looking.look() == EventTopic("/cam/events", DVS)
 
 
+def test_only_topics_of_the_own_namespace_are_taken_unasked() -> None:
+    assert find({"/left/events": DVS, "/rightmost/events": DVS}, namespace="/right") is None
+    found = find({"/left/events": DVS, "/right/davis/events": DVS}, namespace="/right")
+    assert found == EventTopic("/right/davis/events", DVS)
+    remapped = find({"/left/events": DVS}, namespace="/right", events="/left/events")
+    assert remapped == EventTopic("/left/events", DVS)
+
+
+def test_topics_of_other_namespaces_are_none_besides_the_one_taken() -> None:
+    graph = Graph({"/left/events": DVS, "/right/a": DVS, "/right/b": DVS}, namespace="/right")
+    assert search(graph).others(EventTopic("/right/a", DVS)) == ["/right/b"]
+
+
+def test_waiting_names_other_topics_only_where_they_could_be_chosen() -> None:
+    assert search(Graph({})).waiting() == "waiting for events: nobody publishes /events"
+    asked = Graph({"/left/events": DVS}, namespace="/right", events="/mine")
+    assert search(asked).waiting() == "waiting for events: nobody publishes /mine"
+
+
 def test_point_cloud_is_taken_only_when_asked_for() -> None:
     assert find({"/lidar": CLOUD}) is None
     assert find({"/lidar": CLOUD}, events="/lidar") == EventTopic("/lidar", CLOUD)

@@ -90,6 +90,17 @@ def test_sensor_time_is_mapped_by_the_first_stamp(bench: Bench) -> None:
     assert task.time_offset == 49_000 * MS
 
 
+def test_event_times_on_ros_time_stay_with_the_stamps_of_last_events(
+    bench: Bench,
+) -> None:
+    tasks = []
+    for second in range(120):
+        start, length = 1000 * (second + 1), 5 + 30 * (second % 3)
+        tasks += bench.push(start, start + length, stamp_ms=start + length)
+    assert {task.time_offset for task in tasks} == {0}
+    assert len(tasks) > 120
+
+
 def test_sensor_time_is_kept_on_request() -> None:
     bench = Bench(timestamps=Timestamps.SENSOR)
     [task] = bench.push(1000, 1012, stamp_ms=50_000)

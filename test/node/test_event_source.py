@@ -17,16 +17,18 @@ ONE, TWO, ASKED = "/one/events", "/two/events", "/events"
 class Bench:
     """A source in a graph, with what it told."""
 
-    def __init__(self, *topics: str, events: str = ASKED) -> None:
-        self.graph = Graph(dict.fromkeys(topics, DVS), events)
+    def __init__(self, *topics: str, namespace: str = "/") -> None:
+        self.graph = Graph(dict.fromkeys(topics, DVS), namespace=namespace)
         self.statistics = Statistics()
         self.taken: list[str] = []
         self.received: list[bytes] = []
         self.ready = True
+        self.used = False
         self.source = EventSource(
             self.graph,  # type: ignore[arg-type]
             search=TopicSearch(self.graph, "", self.graph.clock),  # type: ignore[arg-type]
             is_ready=lambda: self.ready,
+            is_used=lambda: self.used,
             callbacks=Callbacks(self._take, self.received.append, lambda info: None),
             statistics=self.statistics,
         )
@@ -122,6 +124,47 @@ def test_second_topic_after_the_first_event_is_named_once() -> None:
         f"choose with --ros-args -r events:={TWO}"
     ]
     assert bench.problem is None
+
+
+def test_events_under_their_own_name_replace_a_topic_until_its_events_are_used() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.graph.callbacks[ONE](b"events")
+    bench.graph.topics[ASKED] = DVS
+    bench.look(0.0)
+    assert bench.taken == [ONE, ASKED]
+    assert bench.listens == {ASKED, "/camera_info"}
+    assert [level for level, _ in bench.graph.log if level == "warning"] == []
+
+
+def test_events_under_their_own_name_do_not_mix_with_a_topic_in_use() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.graph.callbacks[ONE](b"events")
+    bench.used = True
+    bench.graph.topics[ASKED] = DVS
+    bench.look()
+    assert bench.listens == {ONE, "/one/camera_info"}
+    assert bench.graph.log[-1] == (
+        "warning",
+        f"listening to {ONE}; event topics besides it: {ASKED}; "
+        f"choose with --ros-args -r events:={ASKED}",
+    )
+
+
+def test_other_camera_s_topic_is_not_taken_in_a_namespace() -> None:
+    bench = Bench("/left/events", namespace="/right")
+    bench.look()
+    assert bench.listens == set()
+    waiting = (
+        "waiting for events: nobody publishes /right/events; outside the node's namespace: "
+        "/left/events; choose with --ros-args -r events:=/left/events"
+    )
+    assert bench.problem == (Level.WARN, waiting)
+    bench.graph.topics["/right/events"] = DVS
+    bench.look(0.0)
+    assert bench.taken == ["/right/events"]
+    assert bench.listens == {"/right/events", "/right/camera_info"}
 
 
 def test_stop_leaves_no_subscription_and_looks_no_longer() -> None:

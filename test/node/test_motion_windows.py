@@ -1,6 +1,5 @@
 """Windows by motion in the worker: what a bag gives without ROS, bit by bit."""
 
-import queue
 import time
 
 import numpy as np
@@ -12,7 +11,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowSlicer
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Outcome, Result, Task, Wishes
+from emoflow_ros.node.tasks import Job, Result, Task, Wishes
 
 CAMERA = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
 PERIOD = 5 * NS_PER_MS  # of the twists
@@ -48,19 +47,18 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
     lengths = [(e.t_end - e.t_start) / NS_PER_S for e in expected]
     assert 0.045 < lengths[2] < 0.08 and lengths[-1] < 0.025  # 60 and 15 ms for 9 px
 
-    outcomes: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
     supervisor = Supervisor(
-        capacity=len(windows), timeout_s=60.0, may_use_cpu=False, on_outcome=outcomes.put
+        capacity=len(windows), timeout_s=60.0, may_use_cpu=False, wake=lambda: None
     )
-    supervisor.configure(CAMERA, CONFIG)
-    supervisor.wishes = Wishes(twist_rate=NS_PER_S / PERIOD)
+    wishes = Wishes(twist_rate=NS_PER_S / PERIOD)
     for window in windows:
-        supervisor.queue.put(Task(window, 0, 0, "camera", time.monotonic()))
+        task = Task(window, 0, 0, "camera", time.monotonic())
+        supervisor.queue.put(Job(task, CAMERA, CONFIG, wishes))
     supervisor.start()
     try:
         last = -PERIOD
         for its in expected:
-            result = outcomes.get(timeout=60.0)
+            result = supervisor.outcomes.get(timeout=60.0)
             assert isinstance(result, Result), result
             mine = result.estimate
             assert (mine.t_start, mine.t_end, mine.t) == (its.t_start, its.t_end, its.t)

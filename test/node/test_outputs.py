@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -44,7 +45,8 @@ class Bench:
     def __init__(self, **values: Any) -> None:
         self.node = FakeNode()
         self.statistics = Statistics()
-        self.outputs = Outputs(self.node, options(**values), self.statistics)
+        self.made = ExitStack()
+        self.outputs = Outputs(self.node, options(**values), self.statistics, self.made)
 
     def publish(self, start_ms: int = 1000, **changes: Any) -> None:
         self.outputs.publish(result(start_ms, **changes))
@@ -190,6 +192,6 @@ def test_twists_are_withheld_without_a_transform(
     b.publish(1010)
     assert b.last("twist").header.frame_id == "base"
     assert b.statistics.problems == {}
-    b.outputs.destroy()
+    b.made.close()
     assert b.node.publishers == {}
     assert tf.listening == 0

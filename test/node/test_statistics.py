@@ -87,17 +87,107 @@ def test_silence_warns_until_events_come(clock: Clock) -> None:
 def test_loss_warns_once(clock: Clock) -> None:
     statistics = Statistics(clock)
     events = some_events(12)
-    for first in (0, 4, 8):
+    for first, reason in ((0, "the worker is starting"), (4, "too slow"), (8, "too slow")):
         window = Window(first, first + 4, events[first : first + 4])
-        statistics.add_dropped(Task(window, 0, 0, "", 0.0))
+        statistics.add_dropped(Task(window, 0, 0, "", 0.0), reason)
+    report = statistics.report(2.0)
+    assert report.level is Level.WARN
+    assert report.message == "3 windows dropped: too slow"
+    assert (report.values["windows_dropped"], report.values["events_dropped"]) == ("3", "12")
+    assert statistics.report(2.0).level is Level.OK
+
+
+@pytest.mark.parametrize(
+    ("count", "reason"),
+    [
+        ("wrong_size_messages", "messages of another sensor size: give this sensor's calibration"),
+        ("unordered_messages", "messages with event times out of order: check the driver"),
+        ("events_outside", "events outside the calibration's image"),
+    ],
+)
+def test_messages_that_are_all_left_out_are_no_silence(
+    clock: Clock, count: str, reason: str
+) -> None:
+    statistics = Statistics(clock)
+    statistics.add_events(5)
+    for _ in range(250):  # at 100 Hz
+        clock.now += 0.01
+        statistics.counts[count] += 1
+        statistics.add_events(0)
+    report = statistics.report(2.0)
+    assert report.level is Level.ERROR
+    assert report.message.startswith(f"nothing to use for 2.5 s: 250 {reason}")
+
+
+def test_messages_that_cannot_be_read_are_no_silence(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    for _ in range(250):
+        clock.now += 0.01
+        statistics.add_malformed()
+    report = statistics.report(2.0)
+    assert report.level is Level.ERROR
+    assert "250 malformed messages: check the driver's message version" in report.message
+
+
+def test_empty_messages_are_not_the_driver_s_silence(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    for _ in range(250):
+        clock.now += 0.01
+        statistics.add_events(0)
+    report = statistics.report(2.0)
+    assert (report.level, report.message) == (
+        Level.WARN,
+        "messages without events for 2.5 s: check the camera",
+    )
+
+
+def test_windows_that_all_hold_too_few_events_warn(
+    clock: Clock, result: Callable[..., Result]
+) -> None:
+    statistics = Statistics(clock)
+    for _ in range(11):
+        statistics.add_result(result(clock.now, Status.TOO_FEW_EVENTS))
     report = statistics.report(2.0)
     assert report.level is Level.WARN
     assert report.message == (
-        "3 windows dropped: the estimation is slower than the events; "
-        "give longer windows, or fewer estimator.max_events"
+        "11 windows with too few events, and none with enough: the camera is at rest, or "
+        "estimator.min_events is too high for its windows"
     )
-    assert (report.values["windows_dropped"], report.values["events_dropped"]) == ("3", "12")
-    assert statistics.report(2.0).level is Level.OK
+    for status in (Status.TOO_FEW_EVENTS, Status.OK):
+        statistics.add_result(result(clock.now, status))
+    assert statistics.report(2.0).message == "running"
+
+
+def test_windows_without_motion_are_said(clock: Clock, result: Callable[..., Result]) -> None:
+    statistics = Statistics(clock)
+    for _ in range(3):
+        statistics.add_result(result(clock.now, Status.NO_MOTION))
+    report = statistics.report(2.0)
+    assert (report.level, report.message) == (Level.OK, "running, no motion in 3 windows")
+
+
+def test_error_in_the_node_is_an_error_and_counted(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    statistics.add_loss(Loss("an error in the node (MemoryError)", worker=True, trace="Traceback"))
+    report = statistics.report(2.0)
+    assert report.level is Level.ERROR
+    assert report.message == (
+        "1 errors in the node, their tracebacks are in the log: an error in the node (MemoryError)"
+    )
+    assert (report.values["internal_errors"], report.values["worker_restarts"]) == ("1", "1")
+
+
+def test_what_costs_estimates_is_said_before_what_costs_none(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    statistics.set_problem("device", Level.WARN, "estimating on the CPU")
+    statistics.add_dropped(Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0), "too slow")
+    assert statistics.report(2.0).message == "1 windows dropped: too slow"
+    assert statistics.report(2.0).message == "estimating on the CPU"
+    statistics.counts["malformed_messages"] += 1
+    statistics.set_problem("frame", Level.WARN, "no transform")
+    assert statistics.report(2.0).message == "no transform"
+    statistics.set_problem("camera", Level.ERROR, "no calibration")
+    assert statistics.report(2.0).message == "no calibration"
 
 
 def test_events_of_dropped_windows_count_once(clock: Clock) -> None:
@@ -106,7 +196,7 @@ def test_events_of_dropped_windows_count_once(clock: Clock) -> None:
     events = some_events(100)
     for first, last, epoch in ((0, 40, 0), (20, 60, 0), (80, 100, 0), (0, 40, 1)):
         window = Window(first, last, events[first:last])
-        statistics.add_dropped(Task(window, epoch, 0, "", 0.0))
+        statistics.add_dropped(Task(window, epoch, 0, "", 0.0), "too slow")
     values = statistics.report(2.0).values
     assert (values["windows_dropped"], values["events_dropped"]) == ("4", "120")
 

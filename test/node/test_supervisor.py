@@ -10,7 +10,6 @@ import pytest
 from supervisor_bench import CAMERA, Bench
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.node.pictures import Picture
@@ -19,7 +18,6 @@ from emoflow_ros.node.tasks import Loss, Wishes
 
 def test_windows_go_through_the_worker_unchanged(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     b.put(count=5, t=2000)
     estimate = b.result().estimate
     assert (estimate.t_start, estimate.t, estimate.t_end) == (2000, 2050, 2100)
@@ -30,27 +28,17 @@ def test_windows_go_through_the_worker_unchanged(bench: Callable[..., Bench]) ->
     assert estimate.quality.stop_reason == "converged"
 
 
-def test_windows_wait_until_the_camera_is_known(bench: Callable[..., Bench]) -> None:
-    b = bench("Recorder")
-    b.put()
-    with pytest.raises(queue.Empty):
-        b.outcomes.get(timeout=0.3)
-    b.supervisor.configure(CAMERA, Config())
-    assert b.result().estimate.quality.events == 5
-
-
 def test_pictures_come_only_when_wished_for(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     b.put()
     assert b.result().pictures == {}
-    b.supervisor.wishes = Wishes((Picture.FLOW,))
+    b.wishes = Wishes((Picture.FLOW,))
     b.put()
     [flow] = b.result().pictures.values()
     assert flow.shape == (24, 32, 2)
     assert np.isnan(flow[:, 0]).all()
     np.testing.assert_array_equal(flow[5, 1], [1, -2])
-    b.supervisor.wishes = Wishes((Picture.COLOR, Picture.EVENTS), flow_color_max=100.0)
+    b.wishes = Wishes((Picture.COLOR, Picture.EVENTS), flow_color_max=100.0)
     b.put(x=3)
     pictures = b.result().pictures
     assert set(pictures) == {Picture.COLOR, Picture.EVENTS}
@@ -61,12 +49,11 @@ def test_pictures_come_only_when_wished_for(bench: Callable[..., Bench]) -> None
 
 def test_twists_of_overlapping_windows_join(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     b.put(t=1000)
     [middle] = b.result().twists
     assert middle.t == 1050
     np.testing.assert_array_equal(middle.angular, [5, 1, CAMERA.width])
-    b.supervisor.wishes = Wishes(twist_rate=1e9 / 40)
+    b.wishes = Wishes(twist_rate=1e9 / 40)
     seen = []
     for t, epoch in ((2000, 0), (2050, 0), (2000, 1)):
         b.put(t=t, epoch=epoch)
@@ -80,7 +67,6 @@ def test_twists_of_overlapping_windows_join(bench: Callable[..., Bench]) -> None
 
 def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     counts = []
     for epoch in (0, 0, 1, 1):
         b.put(epoch=epoch)
@@ -90,17 +76,15 @@ def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:
 
 def test_new_camera_takes_effect_at_the_next_window(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     b.put()
     assert b.result().estimate.angular[2] == 32
-    b.supervisor.configure(Camera(64, 48, 40.0, 40.0, 32.0, 24.0), Config())
+    b.camera = Camera(64, 48, 40.0, 40.0, 32.0, 24.0)
     b.put()
     assert b.result().estimate.angular[2] == 64
 
 
 def test_dying_worker_costs_one_window(bench: Callable[..., Bench]) -> None:
     b = bench("Dying")
-    b.supervisor.configure(CAMERA, Config())
     for x in (0, 7, 0, 0):
         b.put(x=x)
     b.result()
@@ -113,7 +97,6 @@ def test_dying_worker_costs_one_window(bench: Callable[..., Bench]) -> None:
 
 def test_worker_killed_while_idle_costs_nothing(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     b.put()
     b.result()
     first = b.supervisor.pid
@@ -127,7 +110,6 @@ def test_worker_killed_while_idle_costs_nothing(bench: Callable[..., Bench]) -> 
 
 def test_hanging_worker_is_replaced_after_the_timeout(bench: Callable[..., Bench]) -> None:
     b = bench("Hanging", timeout_s=0.5)
-    b.supervisor.configure(CAMERA, Config())
     b.put(x=7)
     b.put()
     assert "no answer in 0.5 s" in b.loss().reason
@@ -136,7 +118,6 @@ def test_hanging_worker_is_replaced_after_the_timeout(bench: Callable[..., Bench
 
 def test_exception_costs_the_window_but_not_the_worker(bench: Callable[..., Bench]) -> None:
     b = bench("Raising")
-    b.supervisor.configure(CAMERA, Config())
     b.put()
     b.result()
     first = b.supervisor.pid
@@ -152,7 +133,6 @@ def test_exception_costs_the_window_but_not_the_worker(bench: Callable[..., Benc
 
 def test_stop_ends_a_busy_worker_at_once(bench: Callable[..., Bench]) -> None:
     b = bench("Busy")
-    b.supervisor.configure(CAMERA, Config())
     pid = b.supervisor.pid
     assert pid is not None
     b.put()

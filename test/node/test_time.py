@@ -166,3 +166,14 @@ def test_drift_of_the_sensor_clock_is_reported() -> None:
     for t in range(0, 20_000, 50):
         stream.play(t, t + 5, ahead_ms=5000 + t * 1e-4)
     assert stream.statistics.clock_drift_ppm == pytest.approx(100, abs=1)
+
+
+def test_sensor_clock_that_was_set_from_the_host_once_is_followed() -> None:
+    """100 ppm for 60 s are 6 ms; the constant delay of 4 ms is none of the clock's."""
+    stream = Stream(EVENT_ARRAY)
+    tasks: list[Task] = []
+    for t in range(0, 60_000, 50):
+        tasks += stream.play(t, t + 5, ahead_ms=4 + t * 1e-4)
+    assert tasks[0].time_offset == pytest.approx(0, abs=0.01 * MS)
+    assert tasks[-1].time_offset == pytest.approx(6 * MS, abs=0.6 * MS)
+    assert stream.statistics.clock_drift_ppm == pytest.approx(100, abs=1)

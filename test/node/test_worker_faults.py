@@ -2,8 +2,11 @@
 
 import multiprocessing
 import os
+import queue
 import signal
+import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +16,8 @@ from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
+from emoflow_ros.node import supervisor
+from emoflow_ros.node.channel import Channel
 from emoflow_ros.node.tasks import Wishes
 
 ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
@@ -20,7 +25,6 @@ ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
 
 def test_out_of_memory_costs_the_window_and_the_worker(bench: Callable[..., Bench]) -> None:
     b = bench("Greedy")
-    b.supervisor.configure(CAMERA, Config())
     b.put()
     b.result()
     first = b.supervisor.pid
@@ -36,7 +40,6 @@ def test_out_of_memory_costs_the_window_and_the_worker(bench: Callable[..., Benc
 
 def test_twenty_kills_cost_at_most_a_window_each(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
-    b.supervisor.configure(CAMERA, Config())
     pids = set()
     for kill in range(20):
         b.put(t=1000 * (kill + 1))
@@ -50,9 +53,132 @@ def test_twenty_kills_cost_at_most_a_window_each(bench: Callable[..., Bench]) ->
     assert b.supervisor.queue.dropped == 0
 
 
+def test_answer_in_time_keeps_its_worker_however_late_it_is_taken(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    b = bench("Recorder", timeout_s=0.3)
+    first = b.supervisor.pid
+    receive = Channel.receive
+
+    def late(channel: Channel, *timeout_s: float) -> Any:
+        answer = receive(channel, *timeout_s)
+        time.sleep(0.5)  # this thread had no turn for longer than the time for a window
+        return answer
+
+    monkeypatch.setattr(Channel, "receive", late)
+    for t in (1000, 2000):
+        b.put(t=t)
+        assert b.result().task.window.t_start == t
+    assert b.supervisor.pid == first
+    with pytest.raises(queue.Empty):
+        b.outcomes.get(timeout=0.3)
+
+
+def test_worker_that_stops_reading_is_replaced_after_the_timeout(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench("Recorder", timeout_s=0.3)
+    b.put()
+    b.result()
+    assert b.supervisor.pid is not None
+    os.kill(b.supervisor.pid, signal.SIGSTOP)
+    b.put(count=1_000_000)  # more than the connection holds
+    loss = b.loss()
+    assert "the worker gave no answer in 0.3 s" in loss.reason
+    assert loss.task is not None
+    b.put()
+    assert b.result().estimate.quality.events == 5
+
+
+def test_message_that_is_not_finished_ends_the_wait() -> None:
+    ours, theirs = multiprocessing.Pipe()
+    channel = Channel(ours, stall_s=0.1)
+    theirs.send_bytes(b'[{}, [["linear", "<f8", [3]]]]')
+    with pytest.raises(TimeoutError, match="not finished"):
+        channel.receive(60.0)
+    with pytest.raises(TimeoutError, match=r"no message in 0.1 s"):
+        channel.receive(0.1)
+
+
+class Clumsy:
+    """Fails a few times, as a full thread table or too little memory would let anything fail."""
+
+    def __init__(self, error: Exception, times: int) -> None:
+        self.error = error
+        self.left = times
+
+    def __call__(self, *args: Any) -> None:
+        self.left -= 1
+        if self.left >= 0:
+            raise self.error
+
+
+@pytest.mark.parametrize("error", [MemoryError("no memory"), RuntimeError("no new thread")])
+def test_any_error_in_the_thread_costs_one_window_and_tells_its_traceback(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    b = bench("Recorder")
+    clumsy, unpack = Clumsy(error, 1), supervisor.unpack
+
+    def fails_once(*args: Any) -> Any:
+        clumsy()
+        return unpack(*args)
+
+    monkeypatch.setattr(supervisor, "unpack", fails_once)
+    b.put(t=1000)
+    b.put(t=2000)
+    loss = b.loss()
+    assert loss.reason == (
+        f"an error in the node ({type(error).__name__}: {error}); the worker is started again"
+    )
+    assert loss.worker
+    assert loss.task is not None
+    assert loss.task.window.t_start == 1000
+    assert "in fails_once" in loss.trace
+    assert b.result().task.window.t_start == 2000
+    assert not b.supervisor.has_ended
+
+
+def test_error_of_who_is_woken_costs_no_window(bench: Callable[..., Bench]) -> None:
+    b = bench("Recorder")
+    b.wake = Clumsy(OSError("gone"), 2)
+    b.put(t=1000)
+    assert b.result().task.window.t_start == 1000
+    loss = b.loss()
+    assert "OSError: gone" in loss.reason
+    assert loss.task is None
+    b.put(t=2000)
+    assert b.result().task.window.t_start == 2000
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_thread_that_ends_nevertheless_is_known(bench: Callable[..., Bench]) -> None:
+    b = bench("Recorder")
+    assert not b.supervisor.has_ended
+    b.wake = Clumsy(SystemExit(), 1)  # type: ignore[arg-type]
+    b.put()
+    b.result()
+    deadline = time.monotonic() + WAIT_S
+    while not b.supervisor.has_ended:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    b.supervisor.stop()
+    assert not b.supervisor.has_ended  # as it should be
+
+
+def test_what_keeps_windows_from_being_estimated_is_known(bench: Callable[..., Bench]) -> None:
+    b = bench("Dying")
+    assert b.supervisor.obstacle == ""
+    b.put(x=7)
+    reason = b.loss().reason
+    assert b.supervisor.obstacle == reason == "the worker died (signal 9); it is started again"
+    b.put()
+    b.result()
+    assert b.supervisor.obstacle == ""
+
+
 def test_estimate_that_is_not_finite_has_diverged(bench: Callable[..., Bench]) -> None:
     b = bench("NotFinite")
-    b.supervisor.configure(CAMERA, Config())
     b.put()
     assert b.result().estimate.angular[1] == 1
     b.put(x=7)
@@ -68,8 +194,7 @@ def test_estimate_that_is_not_finite_has_diverged(bench: Callable[..., Bench]) -
 
 def test_twists_that_are_not_finite_are_not_published(bench: Callable[..., Bench]) -> None:
     b = bench("NotFiniteInPart")
-    b.supervisor.configure(CAMERA, Config())
-    b.supervisor.wishes = Wishes(twist_rate=1e9 / 40)
+    b.wishes = Wishes(twist_rate=1e9 / 40)
     b.put(t=1000)
     assert np.isfinite([w.linear for w in b.result().twists]).all()
     b.put(t=2000, x=7)
@@ -80,7 +205,7 @@ def test_twists_that_are_not_finite_are_not_published(bench: Callable[..., Bench
 
 def test_missing_device_falls_back_to_the_cpu_where_allowed(bench: Callable[..., Bench]) -> None:
     b = bench("NoCuda", may_use_cpu=True)
-    b.supervisor.configure(CAMERA, ON_CUDA)
+    b.config = ON_CUDA
     b.put()
     assert b.notice().reason == (
         "estimator.device: no CUDA device was found; use cpu; "
@@ -107,7 +232,7 @@ def test_device_that_is_there_passes_the_check(bench: Callable[..., Bench]) -> N
     try:
         b.supervisor.check(ON_CUDA)
         checked = b.supervisor.pid
-        b.supervisor.configure(CAMERA, ON_CUDA)
+        b.config = ON_CUDA
         b.supervisor.start()
         b.put()
         assert b.result().estimate.angular[2] == CAMERA.width
@@ -118,7 +243,7 @@ def test_device_that_is_there_passes_the_check(bench: Callable[..., Bench]) -> N
 
 def test_lost_device_costs_the_window_and_the_cpu_goes_on(bench: Callable[..., Bench]) -> None:
     b = bench("LosesCuda", may_use_cpu=True)
-    b.supervisor.configure(CAMERA, ON_CUDA)
+    b.config = ON_CUDA
     b.put(x=7)
     assert "CUDA error: unspecified launch failure look at dmesg" in b.notice().reason
     loss = b.loss()
@@ -130,7 +255,7 @@ def test_lost_device_costs_the_window_and_the_cpu_goes_on(bench: Callable[..., B
 
 def test_lost_device_is_tried_again_where_the_cpu_is_refused(bench: Callable[..., Bench]) -> None:
     b = bench("LosesCuda")
-    b.supervisor.configure(CAMERA, ON_CUDA)
+    b.config = ON_CUDA
     for _ in range(2):
         b.put(x=7)
         assert "CUDA error" in b.loss().reason
@@ -141,6 +266,6 @@ def test_lost_device_is_tried_again_where_the_cpu_is_refused(bench: Callable[...
 @pytest.mark.parametrize("profile", ["realtime", "rigid", "paper", "paper_dsec"])
 def test_every_profile_reaches_the_worker(bench: Callable[..., Bench], profile: str) -> None:
     b = bench("ByProfile")
-    b.supervisor.configure(CAMERA, load_config(profile, {"window.duration_ms": 70.0}))
+    b.config = load_config(profile, {"window.duration_ms": 70.0})
     b.put()
     assert b.result().estimate.quality.stop_reason == f"{profile} 70.0"

@@ -1,0 +1,257 @@
+"""From event messages to what is published: all that a configured node does with windows."""
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+
+from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import CameraInfo
+
+from emoflow_ros.core.calibration import load_calibration
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.clock import Timestamps
+from emoflow_ros.errors import InputError
+from emoflow_ros.node import converters
+from emoflow_ros.node.calibration_path import calibration_path
+from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.event_input import EventInput
+from emoflow_ros.node.event_source import camera_info_topic
+from emoflow_ros.node.outputs import Outputs
+from emoflow_ros.node.parameters import Settings
+from emoflow_ros.node.statistics import Level, Report, Statistics
+from emoflow_ros.node.supervisor import Supervisor
+from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task
+
+_THROTTLE_S = 5.0
+# What does not change by itself: a reminder for who reads the log later.
+_REMINDER_S = 30.0
+_SLOW = (
+    "the estimation is slower than the events; give longer windows, or fewer estimator.max_events"
+)
+_ENDED = (
+    "the thread that feeds the worker has ended, its traceback is in the log; "
+    "clean up and configure the node, or start it anew"
+)
+
+
+class Pipeline:
+    """Cuts the events of a topic into windows, has them estimated, and publishes the results.
+
+    Windows wait here until there is a calibration. Each then goes to the worker with the camera,
+    the configuration and the wishes that hold at that moment. All of it is in the executor's
+    thread; the supervisor has a thread of its own.
+
+    Args:
+        node: to publish with.
+        settings: the values of the parameters.
+        factory: `module:function` that makes the estimator in the worker.
+        wake: called in the supervisor's thread when `take_outcomes` has something to do.
+        made: gets what takes the pipeline back.
+
+    Attributes:
+        statistics: what is counted, and what is wrong.
+        is_topic_used: whether events of the present topic have gone to the worker.
+
+    Raises:
+        InputError: the calibration file, the device or another setting cannot be used.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        settings: Settings,
+        *,
+        factory: str,
+        wake: Callable[[], None],
+        made: ExitStack,
+    ) -> None:
+        options = settings.node
+        path = options.camera.calibration_file
+        self.statistics = Statistics()
+        self.is_topic_used = False
+        self._node = node
+        self._settings = settings
+        self._camera = load_calibration(calibration_path(path)) if path else None
+        self._missing = ""  # why there is no camera
+        self._topic: EventTopic | None = None
+        self._input: EventInput | None = None
+        self._encoding = ""
+        self._epoch = 0
+        self._waiting: deque[Task] = deque()
+        self._supervisor = Supervisor(
+            capacity=options.input.queue_windows,
+            timeout_s=options.output.timeout_s,
+            may_use_cpu=options.on_missing_device == "cpu",
+            wake=wake,
+            factory=factory,
+        )
+        made.callback(self._supervisor.stop)
+        if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
+            self._supervisor.check(settings.config)
+        self._outputs = Outputs(node, options, self.statistics, made)
+
+    def start(self) -> None:
+        """Start the worker."""
+        self._supervisor.start()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the worker is warm."""
+        return self._supervisor.ready.is_set()
+
+    @property
+    def hears_camera_info(self) -> bool:
+        """Whether the calibration comes from a topic."""
+        return not self._settings.node.camera.calibration_file
+
+    def set_settings(self, settings: Settings) -> None:
+        """Take new settings for the next window."""
+        self._settings = settings
+        self._outputs.set_scale(settings.node.scale)
+        if self._input is not None:
+            self._input.set_policy(settings.config.window)
+
+    def pause(self) -> None:
+        """Forget the topic's unfinished window and the windows that wait."""
+        self._input = None
+        self._forget_waiting()
+
+    def take_topic(self, topic: EventTopic) -> None:
+        """Listen to this topic from now on."""
+        settings = self._settings
+        if topic != self._topic and self.hears_camera_info:
+            self._camera = None
+        self._forget_waiting()
+        self.is_topic_used = False
+        self._topic = topic
+        self._epoch += 1
+        self._encoding = ""
+        self._input = EventInput(
+            topic.type,
+            settings.config.window,
+            timestamps=Timestamps(settings.node.input.timestamps),
+            frame_id=settings.node.camera.frame_id,
+            statistics=self.statistics,
+            warn=lambda line: self._node.get_logger().warning(
+                line, throttle_duration_sec=_THROTTLE_S
+            ),
+            epoch=self._epoch,
+        )
+        self._input.camera = self._camera
+        self._node.get_logger().info(f"listening to {topic.name} ({topic.type})")
+        if self._camera is None:
+            wanted = camera_info_topic(self._node, topic)
+            self._miss_camera(
+                f"no calibration yet: publish {wanted} or give camera.calibration_file"
+            )
+
+    def take_events(self, data: bytes) -> None:
+        """Take a serialised message of the topic."""
+        if self._input is None:
+            return
+        tasks = self._input.push(data)
+        if self._input.encoding and not self._encoding:
+            self._encoding = self._input.encoding
+            self._node.get_logger().info(f"events are encoded as {self._encoding}")
+        if self._input.epoch != self._epoch:
+            self._epoch = self._input.epoch
+            self._forget_waiting()
+            self._node.get_logger().info(
+                f"{self._input.jump}: the estimation starts anew",
+                throttle_duration_sec=_THROTTLE_S,
+            )
+        if tasks:
+            self._hand_on(tasks)
+
+    def take_camera_info(self, info: CameraInfo) -> None:
+        """Take a calibration, which may be the one in use."""
+        try:
+            camera = converters.to_camera(info)
+        except InputError as error:
+            self._miss_camera(f"camera_info: {error}")
+            self._node.get_logger().error(
+                f"camera_info: {error}", throttle_duration_sec=_THROTTLE_S
+            )
+            return
+        self.statistics.clear_problem("camera")
+        if camera != self._camera:
+            self._change_camera(camera)
+
+    def take_outcomes(self) -> None:
+        """Publish what the worker has done."""
+        outcomes = self._supervisor.outcomes
+        while not outcomes.empty():
+            match outcomes.get():
+                case Result() as result:
+                    if result.task.epoch == self._epoch:
+                        self.statistics.add_result(result)
+                        self._outputs.publish(result)
+                case Loss() as loss:
+                    self._report(loss)
+                case Notice(reason):
+                    self._node.get_logger().warning(reason)
+                    self.statistics.set_problem("device", Level.WARN, reason)
+
+    def report(self) -> Report:
+        """Judge the time since the last report."""
+        self.take_outcomes()  # also those that the supervisor could not wake this thread for
+        if self._supervisor.has_ended:
+            self.statistics.set_problem("worker", Level.ERROR, _ENDED)
+            self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)
+        return self.statistics.report(self._settings.node.input.silence_s, self._supervisor.pid)
+
+    def _hand_on(self, tasks: list[Task]) -> None:
+        """Put windows into the worker's queue, or let them wait for a calibration."""
+        if self._camera is None:
+            for task in tasks:
+                self._wait(task)
+            return
+        self.is_topic_used = True
+        config, wishes = self._settings.config, self._outputs.wishes
+        for task in tasks:
+            left_out = self._supervisor.queue.put(Job(task, self._camera, config, wishes))
+            if left_out is not None:
+                self._drop(left_out.task, self._supervisor.obstacle or _SLOW)
+
+    def _wait(self, task: Task) -> None:
+        self._node.get_logger().warning(
+            f"windows wait: {self._missing}", throttle_duration_sec=_REMINDER_S
+        )
+        if len(self._waiting) == self._settings.node.input.queue_windows:
+            self._drop(self._waiting.popleft(), self._missing)
+        self._waiting.append(task)
+
+    def _drop(self, task: Task, reason: str) -> None:
+        self.statistics.add_dropped(task, reason)
+        self._outputs.publish_dropped(task, reason)
+
+    def _forget_waiting(self) -> None:
+        self._waiting.clear()
+        self._supervisor.queue.clear()
+
+    def _miss_camera(self, reason: str) -> None:
+        self._missing = reason
+        self.statistics.set_problem("camera", Level.ERROR, reason)
+
+    def _change_camera(self, camera: Camera) -> None:
+        if self._input is not None:
+            if self._input.size not in (None, camera.size):
+                self._forget_waiting()  # windows of another sensor
+            self._input.camera = camera
+        self._camera = camera
+        self._node.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
+        waiting = list(self._waiting)
+        self._waiting.clear()
+        if waiting:
+            self._hand_on(waiting)
+
+    def _report(self, loss: Loss) -> None:
+        self.statistics.add_loss(loss)
+        logger = self._node.get_logger()
+        if loss.trace:
+            line = f"{loss.reason}\n{loss.trace}"
+            logger.error(line, throttle_duration_sec=_THROTTLE_S)
+        else:
+            logger.error(loss.reason, throttle_duration_sec=_THROTTLE_S)
+        if loss.task is not None and loss.task.epoch == self._epoch:
+            self._outputs.publish_failed(loss.task, loss.reason)

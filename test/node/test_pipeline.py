@@ -1,0 +1,231 @@
+"""What becomes of windows between the event topic and the worker; the worker is a fake."""
+
+from contextlib import ExitStack
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+from fake_estimators import Recorder
+from fake_node import FakeNode
+from fake_supervisor import install_fake_supervisor
+from graph import DVS
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.twist import at_middle
+from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.parameters import NodeOptions, Settings
+from emoflow_ros.node.pipeline import Pipeline
+from emoflow_ros.node.statistics import Level
+from emoflow_ros.node.tasks import Job, Loss, Result
+from emoflow_ros.simulation.messages import MessageEncoder
+
+MS = 1_000_000
+CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+FINER = replace(CAMERA, fx=60.0)
+SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
+LEFT, RIGHT = EventTopic("/left/events", DVS), EventTopic("/right/events", DVS)
+MISSING = "no calibration yet: publish /left/camera_info or give camera.calibration_file"
+ENCODER = MessageEncoder(ros1=False)
+
+
+class Bench:
+    """A pipeline that listens to /left/events, with windows of 10 ms of which two may wait."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        supervisors = install_fake_supervisor(monkeypatch)
+        self.node = FakeNode()
+        self.made = ExitStack()
+        self.settings = Settings(NodeOptions(), load_config()).changed(
+            {
+                "window.duration_ms": 10.0,
+                "window.stride_ms": 10.0,
+                "input.queue_windows": 2,
+            }
+        )
+        self.pipeline = Pipeline(
+            self.node,  # type: ignore[arg-type]
+            self.settings,
+            factory="",
+            wake=lambda: None,
+            made=self.made,
+        )
+        [self.supervisor] = supervisors
+        self.pipeline.take_topic(LEFT)
+
+    def play(self, first_ms: int, last_ms: int, camera: Camera = CAMERA) -> None:
+        """Take a message with an event each 5 ms."""
+        for t in range(first_ms, last_ms, 5):
+            zero = np.zeros(1, np.uint16)
+            events = Events(zero, zero, np.array([t * MS]), zero.astype(bool))
+            self.pipeline.take_events(ENCODER.events(t * MS, camera, events))
+
+    def calibrate(self, camera: Camera = CAMERA) -> None:
+        data = ENCODER.camera_info(0, camera)
+        self.pipeline.take_camera_info(deserialize_message(data, CameraInfo))
+
+    def answer(self, job: Job) -> Result:
+        estimate = Recorder(job.camera, job.config).estimate(job.task.window)
+        return Result(job.task, estimate, (at_middle(estimate),))
+
+    @property
+    def said(self) -> list[str]:
+        return [m.message for m in self.node.messages("egomotion/status")]
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+def stamps(jobs: list[Job]) -> list[int]:
+    return [job.task.stamp // MS for job in jobs]
+
+
+def test_windows_that_wait_in_vain_are_dropped_for_want_of_a_calibration(bench: Bench) -> None:
+    bench.play(1000, 1041)
+    assert bench.said == [f"dropped: {MISSING}"] * 2
+    report = bench.pipeline.report()
+    assert (report.level, report.message) == (Level.ERROR, MISSING)
+    assert report.values["windows_dropped"] == "2"
+    bench.calibrate()
+    assert stamps(bench.supervisor.jobs()) == [1025, 1035]
+
+
+def test_bad_calibration_is_the_reason_that_windows_are_dropped(bench: Bench) -> None:
+    bench.pipeline.take_camera_info(CameraInfo(width=64, height=48))
+    bench.play(1000, 1031)
+    [said] = bench.said
+    assert said.startswith("dropped: camera_info: camera: focal lengths")
+
+
+def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1031)
+    assert len(bench.said) == 1
+    assert bench.said[0].startswith("dropped: the estimation is slower than the events; give")
+    bench.supervisor.obstacle = "the worker died (signal 9); it is started again"
+    bench.play(1035, 1041)
+    assert bench.said[1:] == ["dropped: the worker died (signal 9); it is started again"]
+    report = bench.pipeline.report()
+    assert report.message == "2 windows dropped: the worker died (signal 9); it is started again"
+
+
+def test_windows_carry_what_holds_when_they_are_handed_over(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1011)
+    bench.calibrate(FINER)
+    settings = bench.settings.changed({"estimator.min_events": 100})
+    bench.pipeline.set_settings(settings)
+    bench.node.publishers["flow/image"].subscribers = 1
+    bench.play(1015, 1021)
+    first, second = bench.supervisor.jobs()
+    assert (first.camera, first.config) == (CAMERA, bench.settings.config)
+    assert (second.camera, second.config) == (FINER, settings.config)
+    assert (first.wishes.pictures, second.wishes.pictures) == ((), ("flow/image",))
+
+
+def test_no_window_of_another_topic_is_estimated_with_the_camera_before(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1016)
+    bench.pipeline.take_topic(RIGHT)
+    bench.play(1000, 1016)
+    assert bench.supervisor.jobs() == []  # neither the left one's nor, without a camera, its own
+    bench.calibrate(FINER)
+    [job] = bench.supervisor.jobs()
+    assert job.camera == FINER
+
+
+def test_results_of_a_topic_before_are_not_published(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1011)
+    [job] = bench.supervisor.jobs()
+    bench.pipeline.take_topic(RIGHT)
+    bench.supervisor.outcomes.put(bench.answer(job))
+    bench.supervisor.outcomes.put(Loss("gone", worker=True, task=job.task))
+    bench.pipeline.take_outcomes()
+    assert bench.said == []
+
+
+def test_windows_of_another_sensor_are_forgotten_with_its_calibration(bench: Bench) -> None:
+    bench.play(1000, 1021, camera=SMALL)
+    bench.calibrate()
+    assert bench.supervisor.jobs() == []
+    bench.play(1025, 1041)
+    assert stamps(bench.supervisor.jobs()) == [1030]
+
+
+def test_topic_counts_as_used_once_a_window_has_gone_to_the_worker(bench: Bench) -> None:
+    bench.play(1000, 1041)
+    assert not bench.pipeline.is_topic_used
+    bench.calibrate()
+    assert bench.pipeline.is_topic_used
+    bench.pipeline.take_topic(RIGHT)
+    assert not bench.pipeline.is_topic_used
+
+
+def test_error_in_the_node_is_logged_with_its_traceback(bench: Bench) -> None:
+    trace = "Traceback (most recent call last):\n  in _serve"
+    bench.supervisor.outcomes.put(Loss("an error in the node", worker=True, trace=trace))
+    bench.pipeline.take_outcomes()
+    assert ("error", f"an error in the node\n{trace}") in bench.node.log
+    assert bench.pipeline.report().level is Level.ERROR
+
+
+def test_thread_that_has_ended_is_an_error_for_as_long_as_it_holds(bench: Bench) -> None:
+    bench.supervisor.has_ended = True
+    for _ in range(2):
+        report = bench.pipeline.report()
+        assert report.level is Level.ERROR
+        assert report.message.startswith("the thread that feeds the worker has ended")
+    assert bench.node.log[-1][0] == "error"
+
+
+def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1011)
+    [job] = bench.supervisor.jobs()
+    bench.supervisor.outcomes.put(bench.answer(job))
+    bench.pipeline.report()
+    assert len(bench.node.messages("egomotion/twist")) == 1
+
+
+def test_windows_with_too_few_events_are_not_running(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1021)
+    for job in bench.supervisor.jobs():
+        answer = bench.answer(job)
+        estimate = replace(answer.estimate, status=Status.TOO_FEW_EVENTS)
+        bench.supervisor.outcomes.put(replace(answer, estimate=estimate, twists=()))
+    report = bench.pipeline.report()
+    assert report.level is Level.WARN
+    assert report.message.startswith("2 windows with too few events, and none with enough")
+
+
+def test_no_more_events_are_dropped_than_came(bench: Bench) -> None:
+    bench.pipeline.set_settings(bench.settings.changed({"window.stride_ms": 2.0}))
+    bench.calibrate()
+    bench.play(1000, 1101)
+    values = bench.pipeline.report().values
+    assert int(values["windows_dropped"]) > 40
+    assert 15 < int(values["events_dropped"]) <= int(values["events"]) == 21
+
+
+def test_pause_forgets_what_waits_for_either(bench: Bench) -> None:
+    bench.play(1000, 1021)
+    bench.pipeline.pause()
+    bench.pipeline.take_topic(LEFT)
+    bench.calibrate()
+    assert bench.supervisor.jobs() == []
+    bench.play(1025, 1046)
+    bench.pipeline.pause()
+    assert bench.supervisor.jobs() == []
+    bench.made.close()
+    assert bench.node.publishers == {}
