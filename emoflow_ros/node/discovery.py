@@ -98,7 +98,12 @@ class TopicSearch:
         return self.name in self._published()
 
     def waiting(self) -> str:
-        """Say what is waited for, and which topics of other namespaces could be chosen."""
+        """Say, after a look in vain, what is waited for, and which other topics could be chosen."""
+        if self._found:
+            return (
+                f"waiting for events: {min(self._found).name} is taken as soon as it has been the "
+                f"only event topic for {SETTLING_S:.0f} s"
+            )
         line = f"waiting for events: nobody publishes {self.name}"
         graph = self._published()
         outside = sorted(topic.name for topic in _event_topics(graph) - self._inside(graph))

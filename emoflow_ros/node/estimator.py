@@ -3,10 +3,9 @@
 import argparse
 
 import rclpy
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from rclpy.utilities import ok, try_shutdown
+from rclpy.utilities import try_shutdown
 
 from emoflow_ros.cli import run
 from emoflow_ros.node.ending import Ending
@@ -71,18 +70,9 @@ def _main(ending: Ending, factory: str) -> int:
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = EstimatorNode(factory)
         ending.in_order(lambda: end.set_result(None))
-        _spin(node, end)
+        rclpy.spin_until_future_complete(node, end)
     finally:
         if node is not None:
             node.destroy_node()
         try_shutdown()
     return 0
-
-
-def _spin(node: EstimatorNode, end: Future) -> None:
-    """Spin until the end. rclpy raises on an impossible transition; that shall not be the end."""
-    while ok() and not end.done():
-        try:
-            rclpy.spin_until_future_complete(node, end)
-        except rclpy_implementation.RCLError as error:
-            node.get_logger().error(f"a request is refused: {error}")

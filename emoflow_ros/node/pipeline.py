@@ -32,6 +32,7 @@ _ENDED = (
     "the thread that feeds the worker has ended, its traceback is in the log; "
     "clean up and configure the node, or start it anew"
 )
+_INACTIVE = "inactive: nothing is listened to until the node is activated"
 
 
 class Pipeline:
@@ -89,6 +90,7 @@ class Pipeline:
         if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
             self._supervisor.check(settings.config)
         self._outputs = Outputs(node, options, self.statistics, made)
+        self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def start(self) -> None:
         """Start the worker."""
@@ -115,6 +117,7 @@ class Pipeline:
         """Forget the topic's unfinished window and the windows that wait."""
         self._input = None
         self._forget_waiting()
+        self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def take_topic(self, topic: EventTopic) -> None:
         """Listen to this topic from now on."""

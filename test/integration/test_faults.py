@@ -1,5 +1,6 @@
 """Faults around the node, injected over DDS: topics, devices, clocks, subscribers, neighbours."""
 
+import itertools
 import signal
 import sys
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from sensor_msgs.msg import CameraInfo
 from shared_node import SharedNode
 
@@ -14,6 +17,8 @@ from emoflow_ros.core.camera import Camera
 
 pytestmark = pytest.mark.dds
 
+ACTIVATE = Transition(id=Transition.TRANSITION_ACTIVATE)
+DEACTIVATE = Transition(id=Transition.TRANSITION_DEACTIVATE)
 SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 SUBSCRIBER = """
 import rclpy
@@ -228,3 +233,21 @@ def test_camera_that_starts_late_is_waited_for_in_its_namespace(processes: Proce
             assert left.events.get_subscription_count() == 0
         assert "listening to /right/events" in processes.output(node)
         assert "listening to /left/events" not in processes.output(node)
+
+
+def test_node_that_is_activated_again_says_what_it_waits_for(processes: Processes) -> None:
+    with Peer("/cam/events") as peer:
+        node = processes.start_fake("Recorder")
+        peer.connect()
+        peer.publish_camera()
+        times = itertools.count(1000, 5)
+        peer.node.create_timer(0.01, lambda: peer.publish_events(next(times) * MS))
+        peer.spin_until(lambda: len(peer.twists) >= 2, "twists")
+        peer.call(ChangeState, "/estimator/change_state", transition=DEACTIVATE)
+        peer.spin_until(lambda: "inactive" in peer.status()["message"], "its state")
+        before = len(processes.output(node))
+        peer.call(ChangeState, "/estimator/change_state", transition=ACTIVATE)
+        settling = "waiting for events: /cam/events is taken as soon as"
+        peer.spin_until(lambda: settling in peer.status()["message"], "what it waits for")
+        peer.spin_until(lambda: peer.status()["message"] == "running", "it goes on")
+        assert "nobody publishes" not in processes.output(node)[before:]

@@ -118,7 +118,7 @@ def test_unknown_encapsulation_is_named():
 def test_unknown_type_lists_the_known_ones():
     with pytest.raises(DecodeError, match=r"'std_msgs/msg/String'.*dvs_msgs/msg/EventArray"):
         make_decoder("std_msgs/msg/String", "cdr")
-    assert len(supported_types()) == 4
+    assert len(supported_types()) == 5
 
 
 def test_unknown_serialisation_is_named():

@@ -101,6 +101,15 @@ def test_waiting_names_other_topics_only_where_they_could_be_chosen() -> None:
     assert search(asked).waiting() == "waiting for events: nobody publishes /mine"
 
 
+def test_waiting_names_the_topic_that_is_about_to_be_taken() -> None:
+    looking = search(Graph({"/cam/events": DVS}))
+    assert looking.look() is None
+    assert looking.waiting() == (
+        "waiting for events: /cam/events is taken as soon as it has been the only event topic "
+        "for 1 s"
+    )
+
+
 def test_point_cloud_is_taken_only_when_asked_for() -> None:
     assert find({"/lidar": CLOUD}) is None
     assert find({"/lidar": CLOUD}, events="/lidar") == EventTopic("/lidar", CLOUD)

@@ -1,5 +1,6 @@
 """What becomes of windows between the event topic and the worker; the worker is a fake."""
 
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -216,6 +217,18 @@ def test_no_more_events_are_dropped_than_came(bench: Bench) -> None:
     values = bench.pipeline.report().values
     assert int(values["windows_dropped"]) > 40
     assert 15 < int(values["events_dropped"]) <= int(values["events"]) == 21
+
+
+def test_node_that_nobody_activated_is_inactive_and_not_silent(bench: Bench) -> None:
+    bench.pipeline.set_settings(bench.settings.changed({"input.silence_s": 0.1}))
+    bench.play(1000, 1021)
+    bench.pipeline.statistics.clear_problem("input")  # as who listens does
+    bench.pipeline.pause()
+    bench.pipeline.statistics.clear_problem("camera")
+    time.sleep(0.11)
+    said = bench.pipeline.report()
+    inactive = "inactive: nothing is listened to until the node is activated"
+    assert (said.level, said.message) == (Level.OK, inactive)
 
 
 def test_pause_forgets_what_waits_for_either(bench: Bench) -> None:
