@@ -115,6 +115,7 @@ class EventInput:
             return []
         self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
+        self._statistics.counts["windows"] += len(windows)
         frame_id = self._frame_id or message.frame_id
         return [
             Task(w, self.epoch, self._clock.offset((w.t_start + w.t_end) // 2), frame_id, received)

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
@@ -39,7 +40,8 @@ class Pipeline:
     """Cuts the events of a topic into windows, has them estimated, and publishes the results.
 
     Windows wait here until there is a calibration. Each then goes to the worker with the camera,
-    the configuration and the wishes that hold at that moment. All of it is in the executor's
+    the configuration and the wishes that hold at that moment. What is on its way when an epoch
+    ends is forgotten: counted, and not published. All of it is in the executor's
     thread; the supervisor has a thread of its own.
 
     Args:
@@ -116,6 +118,7 @@ class Pipeline:
     def pause(self) -> None:
         """Forget the topic's unfinished window and the windows that wait."""
         self._input = None
+        self._epoch += 1
         self._forget_waiting()
         self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
@@ -186,7 +189,7 @@ class Pipeline:
         while not outcomes.empty():
             match outcomes.get():
                 case Result() as result:
-                    if result.task.epoch == self._epoch:
+                    if self._is_recent(result.task):
                         self.statistics.add_result(result)
                         self._outputs.publish(result)
                 case Loss() as loss:
@@ -229,8 +232,15 @@ class Pipeline:
         self._outputs.publish_dropped(task, reason)
 
     def _forget_waiting(self) -> None:
+        forgotten = len(self._waiting) + self._supervisor.queue.clear()
         self._waiting.clear()
-        self._supervisor.queue.clear()
+        self.statistics.counts["windows_forgotten"] += forgotten
+
+    def _is_recent(self, task: Task) -> bool:
+        """Tell whether a window is of the present epoch; another one is forgotten."""
+        recent = task.epoch == self._epoch
+        self.statistics.counts["windows_forgotten"] += not recent
+        return recent
 
     def _miss_camera(self, reason: str) -> None:
         self._missing = reason
@@ -249,6 +259,8 @@ class Pipeline:
             self._hand_on(waiting)
 
     def _report(self, loss: Loss) -> None:
+        if loss.task is not None and not self._is_recent(loss.task):
+            loss = replace(loss, task=None)
         self.statistics.add_loss(loss)
         logger = self._node.get_logger()
         if loss.trace:
@@ -256,5 +268,5 @@ class Pipeline:
             logger.error(line, throttle_duration_sec=_THROTTLE_S)
         else:
             logger.error(loss.reason, throttle_duration_sec=_THROTTLE_S)
-        if loss.task is not None and loss.task.epoch == self._epoch:
+        if loss.task is not None:
             self._outputs.publish_failed(loss.task, loss.reason)

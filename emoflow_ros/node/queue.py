@@ -36,7 +36,9 @@ class DropOldestQueue[T]:
                 return None
             return self._items.popleft()
 
-    def clear(self) -> None:
-        """Forget all items; they do not count as dropped."""
+    def clear(self) -> int:
+        """Forget all items, which do not count as dropped, and return how many they were."""
         with self._changed:
+            count = len(self._items)
             self._items.clear()
+        return count

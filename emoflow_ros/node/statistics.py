@@ -32,6 +32,7 @@ _WARNINGS = {
 }
 _ALSO_COUNTED = (
     *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
+    *("windows", "windows_forgotten"),
 )
 # Parts that have problems, first those whose problems cost most. Of the latter whatever else is as
 # bad costs more: there are estimates nevertheless.

@@ -242,3 +242,39 @@ def test_pause_forgets_what_waits_for_either(bench: Bench) -> None:
     assert bench.supervisor.jobs() == []
     bench.made.close()
     assert bench.node.publishers == {}
+
+
+def test_every_window_is_accounted_for_once(bench: Bench) -> None:
+    """Waiting, queued, in work or lost when an epoch ends, answered, lost, and dropped."""
+    bench.play(1000, 1021)  # two windows wait for a calibration
+    bench.play(500, 506)  # a jump
+    bench.calibrate()
+    bench.play(510, 521)  # two windows, of which one is answered after the next jump
+    late, lost = bench.supervisor.jobs()
+    bench.play(525, 541)  # two windows that are in the queue at the next jump
+    bench.play(100, 151)  # a jump, and five windows, of which two may wait
+    bench.supervisor.outcomes.put(bench.answer(late))
+    bench.supervisor.outcomes.put(Loss("gone", worker=True, task=lost.task))
+    answered, failed = bench.supervisor.jobs()
+    bench.supervisor.outcomes.put(bench.answer(answered))
+    bench.supervisor.outcomes.put(Loss("no luck", worker=False, task=failed.task))
+    counts = bench.pipeline.report().values
+    expected = {
+        "windows": 11,
+        "windows_forgotten": 6,
+        "windows_dropped": 3,
+        "windows_ok": 1,
+        "windows_failed": 1,
+    }
+    assert {name: int(counts[name]) for name in expected} == expected
+    assert len(bench.said) == 5  # all but those that were forgotten
+
+
+def test_window_in_work_at_the_pause_is_forgotten(bench: Bench) -> None:
+    bench.calibrate()
+    bench.play(1000, 1011)
+    [job] = bench.supervisor.jobs()
+    bench.pipeline.pause()
+    bench.supervisor.outcomes.put(bench.answer(job))
+    counts = bench.pipeline.report().values
+    assert (counts["windows"], counts["windows_forgotten"], counts["windows_ok"]) == ("1", "1", "0")

@@ -11,10 +11,11 @@ def test_full_queue_drops_the_oldest_and_counts() -> None:
     assert [queue.get(0) for _ in range(4)] == [2, 3, 4, None]
 
 
-def test_clear_forgets_without_counting() -> None:
+def test_clear_tells_how_many_it_forgets_and_counts_none_as_dropped() -> None:
     queue = DropOldestQueue[int](3)
     queue.put(1)
-    queue.clear()
+    queue.put(2)
+    assert queue.clear() == 2
     assert queue.get(0) is None
     assert queue.dropped == 0
 
