@@ -7,7 +7,6 @@ import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict
-from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any
 
@@ -18,10 +17,11 @@ from emoflow_ros.core.twist import grid_times
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.answer import unpack
-from emoflow_ros.node.channel import Arrays, Channel
+from emoflow_ros.node.channel import Arrays
 from emoflow_ros.node.queue import DropOldestQueue
 from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Task
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
+from emoflow_ros.node.worker_process import WorkerDiedError, WorkerProcess
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 
@@ -29,10 +29,6 @@ _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0
 _START_S = 120.0  # the first start on a machine compiles, and CUDA takes its time
 _FIX = "or set on_missing_device to cpu"
-
-
-class WorkerDiedError(Exception):
-    """The worker ended, or was ended, before it answered."""
 
 
 class Supervisor:
@@ -85,8 +81,7 @@ class Supervisor:
         self._epoch = -1
         self._task: Task | None = None
         self._last_twist = -1
-        self._process: BaseProcess | None = None
-        self._channel: Channel | None = None
+        self._worker: WorkerProcess | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
 
@@ -110,8 +105,8 @@ class Supervisor:
     @property
     def pid(self) -> int | None:
         """The worker's process id, None while there is none."""
-        process = self._process
-        return None if process is None else process.pid
+        worker = self._worker
+        return None if worker is None else worker.pid
 
     @property
     def has_ended(self) -> bool:
@@ -125,7 +120,8 @@ class Supervisor:
         self._kill()
         if self._thread.is_alive():
             self._thread.join(timeout=0.5)
-        self._kill()
+        if not self._thread.is_alive():
+            self._end_worker()
 
     def _run(self) -> None:
         # The server process and its workers inherit this thread's mask: Ctrl-C is for the node.
@@ -144,18 +140,19 @@ class Supervisor:
                 else:
                     pause = _IDLE_S if answered else pause
         finally:
-            self._kill()
+            self._end_worker()
 
     def _advance(self) -> bool:
         """Start a worker if there is none, and run the oldest job if there is one."""
-        if self._channel is None:
+        if self._worker is None:
             self._start_worker()
         if not self.ready.is_set():  # a replacement has windows waiting
             self._warm_up()
             self.ready.set()
         job = self.queue.get(_IDLE_S)
         if job is None:
-            self._check_idle_worker()
+            assert self._worker is not None
+            self._worker.check()  # a death between two windows costs none
             return False
         self._task = job.task
         self._serve(job)
@@ -222,18 +219,8 @@ class Supervisor:
         return True
 
     def _start_worker(self) -> None:
-        mine, its = self._context.Pipe()
-        process = self._context.Process(
-            target=serve, args=(its, self._factory), name="estimator_worker", daemon=True
-        )
-        try:
-            process.start()
-        except (OSError, EOFError) as error:
-            raise WorkerDiedError(f"the worker cannot be started ({error})") from None
-        finally:
-            its.close()
-        self._process, self._configured = process, None
-        self._channel = Channel(mine, stall_s=self._timeout_s)
+        self._worker = WorkerProcess(self._context, self._factory, self._timeout_s)
+        self._configured = None
         if self._stopping.is_set():
             raise WorkerDiedError("stopped")
 
@@ -246,30 +233,11 @@ class Supervisor:
         self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None
     ) -> tuple[dict[str, Any], Arrays]:
         """Send a request and wait for the answer, for as long as it may take."""
-        assert self._channel is not None
+        assert self._worker is not None
         limit = self._timeout_s if timeout_s is None else timeout_s
-        try:
-            self._channel.send(header, arrays)
-            answer = self._channel.receive(limit)
-        except TimeoutError:
-            reason = f"the worker gave no answer in {limit:g} s and was ended"
-            raise WorkerDiedError(reason) from None
-        except (EOFError, OSError):
-            raise WorkerDiedError(f"the worker died ({self._exit_reason()})") from None
+        answer = self._worker.request(header, arrays, limit)
         self.obstacle = ""
         return answer
-
-    def _check_idle_worker(self) -> None:
-        """Notice a death between two windows, which then costs none."""
-        assert self._process is not None
-        if not self._process.is_alive():
-            raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
-
-    def _exit_reason(self) -> str:
-        assert self._process is not None
-        self._process.join(1.0)
-        code = self._process.exitcode
-        return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
 
     def _lose_worker(self, error: Exception) -> None:
         """End the worker, so that the next one starts from nothing, and tell why."""
@@ -280,10 +248,7 @@ class Supervisor:
             reason = f"an error in the node ({name}: {error}); the worker is started again"
             trace = traceback.format_exc()
         self.obstacle = reason
-        self._kill()
-        if self._channel is not None:
-            self._channel.close()
-            self._channel = None
+        self._end_worker()
         task, self._task = self._task, None
         with contextlib.suppress(Exception):  # of `wake`: the outcome is there nevertheless
             self._tell(Loss(reason, worker=True, task=task, trace=trace))
@@ -293,7 +258,11 @@ class Supervisor:
         self._wake()
 
     def _kill(self) -> None:
-        process = self._process
-        if process is not None:
-            with contextlib.suppress(ValueError, OSError):
-                process.kill()
+        worker = self._worker
+        if worker is not None:
+            worker.kill()
+
+    def _end_worker(self) -> None:
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.end()

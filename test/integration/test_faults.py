@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import TwistStamped
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -189,33 +188,6 @@ def test_missing_device_is_named_while_the_cpu_does_its_work(
     said = "no CUDA device was found; use cpu; estimating on the CPU"
     peer.spin_until(lambda: said in peer.status()["message"], "the warning")
     assert peer.diagnostics[-1].status[0].level == b"\x01"
-
-
-def test_two_nodes_in_namespaces_do_not_mix(processes: Processes) -> None:
-    with Peer("/left/events") as left, Peer("/right/events") as right:
-        received: dict[str, list[TwistStamped]] = {}
-        for name, peer in (("left", left), ("right", right)):
-            received[name] = []
-            peer.node.create_subscription(
-                TwistStamped, f"/{name}/egomotion/twist", received[name].append, 10
-            )
-        for name, peer in (("left", left), ("right", right)):
-            processes.start_fake("Recorder", "-r", f"__ns:=/{name}")
-            peer.connect()
-            peer.spin_until(
-                lambda who=f"/{name}/estimator: estimator", at=peer: (
-                    who in {d.status[0].name for d in at.diagnostics}
-                ),
-                "this node is heard",
-            )
-        left.publish_camera()
-        right.publish_camera(SMALL)
-        run_windows(left, 1000, 1031)
-        run_windows(right, 7000, 7021, camera=SMALL)
-        left.spin_until(lambda: len(received["left"]) == 3, "the left twists")
-        right.spin_until(lambda: len(received["right"]) == 2, "the right twists")
-        assert {t.twist.angular.z for t in received["left"]} == {64.0}
-        assert {t.twist.angular.z for t in received["right"]} == {32.0}
 
 
 def test_camera_that_starts_late_is_waited_for_in_its_namespace(processes: Processes) -> None:

@@ -6,11 +6,13 @@ import time
 from pathlib import Path
 
 import pytest
-from harness import MS, Peer, Processes, children
+from geometry_msgs.msg import TwistStamped
+from harness import CAMERA, MS, Peer, Processes, children
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from shared_node import SharedNode
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.node.memory import resident_mb
 
 pytestmark = pytest.mark.dds
@@ -18,6 +20,7 @@ pytestmark = pytest.mark.dds
 # 10 ms of events each, five times what is possible: 10 minutes of them, and 5 s.
 OVERLOAD_WINDOWS = 60_000
 FEW_WINDOWS = 500
+SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 
 
 def few_and_many(few: int, many: int) -> list[object]:
@@ -112,3 +115,44 @@ def test_overload_keeps_latency_and_memory(peer: Peer, processes: Processes, win
         peer.spin_for(0.1)
     peer.spin_until(lambda: len(peer.twists) >= last + 2, "recovery within two windows")
     assert peer.status()["windows_dropped"] == dropped
+
+
+@pytest.mark.parametrize("seconds", few_and_many(10, 600))
+@pytest.mark.timeout(3600)
+def test_two_nodes_in_namespaces_do_not_mix(processes: Processes, seconds: int) -> None:
+    """Two cameras at once, of two sizes, with windows of 10 ms for as long as they last."""
+    cameras = {"left": CAMERA, "right": SMALL}
+    first = {"left": 1000, "right": 9_000_000}  # ms
+    with Peer("/left/events") as left, Peer("/right/events") as right:
+        peers = {"left": left, "right": right}
+        received: dict[str, list[TwistStamped]] = {name: [] for name in peers}
+        for name, peer in peers.items():
+            peer.node.create_subscription(
+                TwistStamped, f"/{name}/egomotion/twist", received[name].append, 1000
+            )
+            processes.start_fake(
+                "Recorder", "-r", f"__ns:=/{name}", "-p", "input.timestamps:=sensor",
+                "-p", "input.queue_windows:=100",  # the machine may be busy
+            )  # fmt: skip
+        for name, peer in peers.items():
+            peer.connect()
+            peer.publish_camera(cameras[name])
+            peer.spin_until(
+                lambda who=f"/{name}/estimator: estimator", at=peer: (
+                    who in {d.status[0].name for d in at.diagnostics}
+                ),
+                "this node is heard",
+            )
+        started = time.monotonic()
+        for t in range(0, 1000 * seconds + 11, 5):
+            for name, peer in peers.items():
+                peer.publish_events((first[name] + t) * MS, camera=cameras[name])
+                peer.spin_for(max(0.001, started + t / 1000 - time.monotonic()))
+        windows = 100 * seconds + 1
+        for name, peer in peers.items():
+            peer.spin_until(lambda own=received[name]: len(own) >= windows, f"all of {name}")
+            stamps = [
+                t.header.stamp.sec * 1000 + t.header.stamp.nanosec // MS for t in received[name]
+            ]
+            assert stamps == [first[name] + 10 * window + 5 for window in range(windows)]
+            assert {t.twist.angular.z for t in received[name]} == {float(cameras[name].width)}

@@ -104,17 +104,15 @@ class Eavesdropper:
     def __init__(self) -> None:
         self.headers: list[dict[str, Any]] = []
 
-    def send(self, header: dict[str, Any], arrays: Any) -> None:
+    def request(self, header: dict[str, Any], *rest: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         self.headers.append(header)
-
-    def receive(self, timeout_s: float) -> tuple[dict[str, Any], dict[str, Any]]:
         return {}, {}
 
 
 def test_worker_is_sent_names_and_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     supervisor = Supervisor(capacity=1, timeout_s=1.0, may_use_cpu=False, wake=lambda: None)
     wire = Eavesdropper()
-    monkeypatch.setattr(supervisor, "_channel", wire)
+    monkeypatch.setattr(supervisor, "_worker", wire)
     supervisor._configure(Camera(64, 48, 50.0, 50.0, 32.0, 24.0), Config())
     [header] = wire.headers
     assert header["kind"] == "configure"
