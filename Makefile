@@ -54,7 +54,7 @@ fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris,
 	python test/msg_adapters/fuzz_decoders.py
 	python test/offline/fuzz_readers.py --runs 1000
 
-soak: messages  ## the tests that take minutes
+soak: messages  ## the tests that take minutes, and random faults for an hour; SOAK_S=180: for 180 s
 	@$(ENV)
 	python -m pytest -m soak --timeout 3600 $(PYTEST_ARGS)
 

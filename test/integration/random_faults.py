@@ -6,6 +6,8 @@ import re
 import signal
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -150,11 +152,8 @@ class Script:
 
     def stop_worker(self) -> None:
         """Stop it for longer than windows can wait, and let it go on."""
-        self._peer.spin_until(lambda: len(self._workers()) == 1, "a worker")
-        [worker] = self._workers()
-        os.kill(worker, signal.SIGSTOP)
-        self.stream(0.4)
-        os.kill(worker, signal.SIGCONT)
+        with self._stopped_worker():
+            self.stream(0.4)
 
     def pause(self) -> None:
         """Send nothing, like a camera at rest; event time goes on."""
@@ -199,17 +198,21 @@ class Script:
         self._slicer = self._make_slicer()
 
     def jump_back(self) -> None:
-        self._start_epoch(self._now - round(self._random.uniform(200, 60_000)) * MS)
+        """Jump while windows are in work and wait, which are then forgotten."""
+        with self._stopped_worker():
+            self.stream(0.1)
+            self._jump(-self._random.uniform(200, 60_000))
 
     def jump_ahead(self) -> None:
-        self._start_epoch(self._now + round(self._random.uniform(11_000, 60_000)) * MS)
+        self._jump(self._random.uniform(11_000, 60_000))
 
     def activate_again(self) -> None:
-        """Deactivate the node, windows in work, and activate it."""
-        self._wait_until_heard()
-        self.kill_worker()
+        """Deactivate the node while windows are in work and wait, and activate it."""
         events = self._peer.events
-        self._change(Transition.TRANSITION_DEACTIVATE)
+        with self._stopped_worker():
+            self.stream(0.1)
+            self._wait_until_heard()
+            self._change(Transition.TRANSITION_DEACTIVATE)
         self._peer.spin_until(lambda: not events.get_subscription_count(), "it listens no more")
         self._change(Transition.TRANSITION_ACTIVATE)
         self._peer.spin_until(events.get_subscription_count, "it listens again")
@@ -237,6 +240,18 @@ class Script:
         assert middle not in self.verdicts, f"{middle}: {self.verdicts[middle]} and {verdict}"
         assert re.fullmatch(_REASONS[verdict], status.message), status.message
         self.verdicts[middle] = verdict
+
+    @contextmanager
+    def _stopped_worker(self) -> Iterator[None]:
+        self._peer.spin_until(lambda: len(self._workers()) == 1, "a worker")
+        [worker] = self._workers()
+        os.kill(worker, signal.SIGSTOP)
+        yield
+        os.kill(worker, signal.SIGCONT)
+
+    def _jump(self, milliseconds: float) -> None:
+        self._start_epoch(self._now + round(milliseconds) * MS)
+        self.stream(0.1)
 
     def _start_epoch(self, t: int) -> None:
         self._epoch += 1

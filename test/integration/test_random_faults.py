@@ -14,8 +14,9 @@ pytestmark = pytest.mark.dds
 LONG_S = float(os.environ.get("SOAK_S", "3600"))
 
 
-@pytest.mark.parametrize("seconds", [1.0, pytest.param(LONG_S, marks=pytest.mark.soak)])
-@pytest.mark.timeout(0)
+@pytest.mark.parametrize(
+    "seconds", [1.0, pytest.param(LONG_S, marks=[pytest.mark.soak, pytest.mark.timeout(0)])]
+)
 def test_every_window_is_accounted_for_whatever_happens(
     processes: Processes, seconds: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -41,3 +42,6 @@ def test_every_window_is_accounted_for_whatever_happens(
             counts = {name: verdicts.count(name) for name in ("ok", "failed", "dropped")}
             print(f"\n{len(script.cut)} windows: {counts}; done: {dict(script.done)}")
             print(f"first and last use: {script.used[0]}, {script.used[-1]}")
+            print(
+                f"MB of memory on the way: {[round(mb) for mb in memory[:: len(memory) // 16 + 1]]}"
+            )
