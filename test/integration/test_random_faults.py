@@ -42,6 +42,5 @@ def test_every_window_is_accounted_for_whatever_happens(
             counts = {name: verdicts.count(name) for name in ("ok", "failed", "dropped")}
             print(f"\n{len(script.cut)} windows: {counts}; done: {dict(script.done)}")
             print(f"first and last use: {script.used[0]}, {script.used[-1]}")
-            print(
-                f"MB of memory on the way: {[round(mb) for mb in memory[:: len(memory) // 16 + 1]]}"
-            )
+            some = [round(mb) for mb in memory[:: len(memory) // 16 + 1]]
+            print(f"MB of memory on the way: {some}")

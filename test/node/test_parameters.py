@@ -148,13 +148,6 @@ def test_what_only_counts_at_the_start_cannot_change(
     assert not answer.successful
 
 
-def test_unknown_parameter_cannot_be_set(make_node: Callable[..., Any]) -> None:
-    node = make_node()
-    declare(node)
-    with pytest.raises(rclpy.exceptions.ParameterNotDeclaredException):
-        node.set_parameters([Parameter("window.duration", value=1.0)])
-
-
 @pytest.mark.parametrize(
     ("name", "when"),
     [
