@@ -43,6 +43,12 @@ class Residuals:
     by_flow: Array
     by_motion: Array
 
+    @property
+    def constant_motion(self) -> Array:
+        """Derivatives (nodes, 6) at the first time by a motion (w, v) that does not change."""
+        rows: Array = self.by_motion[:, 0, :-1] @ _CONSTANT
+        return rows
+
     @classmethod
     def empty(cls, nodes: int, times: int) -> "Residuals":
         """Make room for them."""
@@ -208,7 +214,7 @@ class NodeEpipolar:
         for _ in range(_REWEIGHTINGS):
             residuals = self.residuals(all_times, Motion.constant(w, v))
             r, normal = residuals.r[:, :1], residuals.by_flow[:, 0]
-            rows = residuals.by_motion[:, 0, :-1] @ _CONSTANT
+            rows = residuals.constant_motion
             evidence = ((normal[:, None] @ information)[:, 0] * normal).sum(-1, keepdims=True)
             weighted = evidence * self.robust_weight(r) * rows
             matrix = weighted.T @ rows

@@ -18,12 +18,14 @@ from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_fit import TO_MIDDLE, FreeFlow, LatticeFit, MotionPrior
+from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
 from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.preparation import prepare
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.structure import Structure
+from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
+from emoflow_ros.core.warm_flow import best_start, is_lost
 from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
@@ -56,6 +58,7 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(camera.width, camera.height, config.spacing_px)
         self._epipolar = NodeEpipolar(camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
+        self._uncertainty = MotionUncertainty(self.lattice, self._epipolar)
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
         self.reset()
@@ -63,6 +66,7 @@ class LatticeEstimator:
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
         self._last: Memory | None = None
+        self._uncertainty.forget()
         self._selector = ModelSelector()
 
     def estimate(self, window: Window) -> Estimate:
@@ -80,8 +84,11 @@ class LatticeEstimator:
         warm = last is not None and last.reaches(window)
         try:
             if warm and last is not None:
+                coarse = self._fit.contrasts[0.25]
+                self._fit.flow = best_start(coarse, events, last.flows(window))
                 stop = self._fit_warm(events, last.predict(self._fit, window))
-            else:
+                warm = not is_lost(coarse, events, self._fit.flow)
+            if not warm:
                 self.reset()
                 stop = self._fit_cold(events)
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
@@ -181,6 +188,9 @@ class LatticeEstimator:
             # A motion that puts part of the scene behind the camera has not proved itself.
             doubt = (1 - abs(self._selector.agreement)) / _DOUBT
             costs = costs + max(0.0, 1 - doubt) * prior.surprise(directions)
+        self._uncertainty.weigh_others(
+            (fit.motion.at(0.5)[0], present), rotations, directions, costs - cost
+        )
         best = int(costs.argmin())
         before = self._selector.model
         rotates = before is MotionModel.ROTATION  # whose v is but a guess, held ready
@@ -217,32 +227,27 @@ class LatticeEstimator:
     def _result(self, window: Window, used: int, stop: str, gain: float, warm: bool) -> Estimate:
         fit = self._fit
         assert fit.motion is not None
-        travels = self._selector.model is not MotionModel.ROTATION
-        front = np.copysign(1.0, self._selector.agreement) if travels else 0.0
+        model = self._selector.model
+        travels = model is not MotionModel.ROTATION
         w, v = fit.motion.at(0.5)
-        unit = np.repeat([window.duration, 1.0], 3)
-        middle = (window.t_start + window.t_end) // 2
-        reduced = np.linalg.inv(TO_MIDDLE @ np.linalg.inv(fit.information) @ TO_MIDDLE.T)
-        belief = Belief.from_information(
-            middle, w / window.duration, v, reduced * np.outer(unit, unit)
-        )
-        structure = Structure.observe(
-            self._epipolar, fit.node_flow.mean(axis=1), (w, v), fit.evidence, fit.structure
-        )
+        belief = fit.belief(window)
+        flow = fit.node_flow.mean(axis=1)
+        structure = Structure.observe(self._epipolar, flow, (w, v), fit.evidence, fit.structure)
         self._last = Memory(
             window.t_start, window.t_end, fit.flow, fit.motion,
             belief if travels else None, structure if travels else None,
         )  # fmt: skip
-        covariance = belief.across()
-        if not travels:
-            covariance[:3], covariance[:, :3] = 0.0, 0.0
-            covariance[0, 0] = -1.0
+        covariance = self._covariance(belief, flow, window.duration, travels)
+        if travels and self.config.model == "auto" and not self._uncertainty.claims_travel:
+            model, travels = MotionModel.ROTATION, False
+            covariance = without_travel(covariance)
+        front = np.copysign(1.0, self._selector.agreement) if travels else 0.0
         residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
         return Estimate(
             window.t_start,
             window.t_end,
-            middle,
+            belief.t,
             Status.OK,
             Quality(
                 events=used,
@@ -254,7 +259,7 @@ class LatticeEstimator:
                 runtime_s=time.perf_counter() - self._started,
                 warm=warm,
             ),
-            self._selector.model,
+            model,
             front * v,
             w / window.duration,
             covariance,
@@ -263,6 +268,12 @@ class LatticeEstimator:
                 window.t_start, window.t_end, fit.motion.w / window.duration, front * fit.motion.v
             ),
         )
+
+    def _covariance(self, belief: Belief, flow: Array, duration: float, travels: bool) -> Array:
+        if self.config.model == "translation":
+            return belief.across()  # that the camera does not turn is known
+        uncertainty = self._uncertainty.of_travel if travels else self._uncertainty.of_rotation
+        return uncertainty(belief, flow, self._fit.evidence, duration)
 
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")

@@ -144,6 +144,16 @@ class LatticeFit:
             equations.vector, equations.band,
         )  # fmt: skip
 
+    def belief(self, window: Window) -> Belief:
+        """Read (w, v) in the window's middle and their covariance off the last step."""
+        w, v = self._require_motion().at(0.5)
+        unit = np.repeat([window.duration, 1.0], 3)
+        reduced = np.linalg.inv(TO_MIDDLE @ np.linalg.inv(self.information) @ TO_MIDDLE.T)
+        middle = (window.t_start + window.t_end) // 2
+        return Belief.from_information(
+            middle, w / window.duration, v, reduced * np.outer(unit, unit)
+        )
+
     def free_flow(self) -> FreeFlow:
         """Solve the present normal equations without the epipolar constraint."""
         step = self._equations.solve().reshape(-1, self.lattice.times, 2)

@@ -11,7 +11,8 @@ from emoflow_ros.core.lattice_fit import LatticeFit, MotionPrior
 from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.windows import NS_PER_S, Window
 
-_EXTRAPOLATION = 0.5  # share of the flow's change in a window that is believed to go on
+# Shares of the flow's change in a window that may go on: the events decide.
+EXTRAPOLATIONS = (0.5, 0.0, 1.0, 1.5)
 _MAX_GAP_S = 0.3  # longer silence ends a warm start
 
 
@@ -38,8 +39,20 @@ class Memory:
         silence = window.t_start - self.t_end
         return window.t_end >= self.t_end and silence <= _MAX_GAP_S * NS_PER_S
 
+    def flows(self, window: Window) -> list[NDArray[np.float32]]:
+        """Flows (columns, rows, times, 2) that a later window may show, for EXTRAPOLATIONS."""
+        length = self.t_end - self.t_start
+        ratio = (window.t_end - window.t_start) / length
+        ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end) / length
+        mean = self.flow.mean(axis=2, keepdims=True)
+        change = self.flow[:, :, -1:] - self.flow[:, :, :1]
+        times = self.flow.shape[2]
+        nodes = ((np.linspace(0, 1, times) - 0.5) * ratio + ahead).astype(np.float32)  # in windows
+        slopes = [share * change * nodes[:, None] for share in EXTRAPOLATIONS]
+        return [((mean + slope) * ratio).astype(np.float32) for slope in slopes]
+
     def predict(self, fit: LatticeFit, window: Window) -> MotionPrior | None:
-        """Set flow, motion and structure of a fit to what a later window is expected to show.
+        """Set motion and structure of a fit to what a later window is expected to show.
 
         Returns:
             What is known of the motion in the middle of that window, if anything.
@@ -48,10 +61,6 @@ class Memory:
         ratio = (window.t_end - window.t_start) / length
         ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end) / length
         mean = self.flow.mean(axis=2, keepdims=True)
-        change = self.flow[:, :, -1:] - self.flow[:, :, :1]
-        nodes = (np.linspace(0, 1, fit.lattice.times) - 0.5) * ratio + ahead  # in windows
-        slope = _EXTRAPOLATION * change * nodes[:, None].astype(np.float32)
-        fit.flow = ((mean + slope) * ratio).astype(np.float32)
         w, v = self.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v, speed=ratio)
         config = fit.config

@@ -9,7 +9,10 @@ from emoflow_ros.core.windows import Window, WindowPolicy
 _GRID_PX = 16  # between the pixels whose displacement counts
 _STILL_PX = 1e-3
 _FAST = 0.9  # quantile of the displacements that counts: where it is fast, warps fail first
-_FIRST = 2 / 3  # of the window's events in the first part, before any motion is known
+_LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns back on its way
+_FIRST = 0.25  # of the window in the first part, before any motion is known ...
+_SECOND = 2 / 3  # ... and where that shows none
+_TOO_SHORT = 1.5  # a first part that the motion allows to be so much longer is taken anew
 
 
 class MotionWindows:
@@ -21,8 +24,11 @@ class MotionWindows:
     the windows so far. A part never begins before the one before it, so that the estimates' times
     grow.
 
-    The first part holds two thirds of its window's events. Where a part gives no estimate the next
-    one has twice its events, until it is a whole window; then it is min_count events.
+    A displacement is the length of the path: a camera that shakes leaves events on its way back,
+    too. The first part holds a quarter of its window's events, so that fast motion is not lost at
+    once. Where it shows slow motion the same window is estimated anew as a longer part, and where
+    it shows none as two thirds. Where a later part gives no estimate the next one has twice its
+    events, until it is a whole window; then it is min_count events.
 
     Args:
         estimator: of the parts.
@@ -49,15 +55,32 @@ class MotionWindows:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to the latest part of a window."""
-        part = window.since(self._choose_start(window))
-        estimate = self._estimator.estimate(part)
+        if self._count is None:
+            estimate, part = self._estimate_first(window)
+        else:
+            part = window.since(self._choose_start(window, self._count))
+            estimate = self._estimator.estimate(part)
         self._start = part.t_start
         self._count = self._next_count(estimate, part, window)
         return estimate
 
-    def _choose_start(self, window: Window) -> int:
+    def _estimate_first(self, window: Window) -> tuple[Estimate, Window]:
+        """Estimate a short part; if the motion allows, or shows in, a longer one only, that one."""
+        events = len(window.events)
+        part = window.since(self._choose_start(window, round(_FIRST * events)))
+        estimate = self._estimator.estimate(part)
+        if estimate.status is Status.OK:
+            count = self._next_count(estimate, part, window)
+        else:
+            count = round(_SECOND * events)
+        if min(count, events) <= _TOO_SHORT * len(part.events):
+            return estimate, part
+        self._estimator.reset()
+        part = window.since(self._choose_start(window, count))
+        return self._estimator.estimate(part), part
+
+    def _choose_start(self, window: Window, count: int) -> int:
         """Go back by the number of events, to the window's start or the last part's at most."""
-        count = round(_FIRST * len(window.events)) if self._count is None else self._count
         first = len(window.events) - max(self._policy.min_count, count)
         start = int(window.events.t[first]) if first > 0 else window.t_start
         if self._start is not None:
@@ -71,6 +94,7 @@ class MotionWindows:
         return 0 if part is window else 2 * len(part.events)
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
-        """Way that 90 % of the image's pixels keep to from the part's start to its end, px."""
-        end = flow.tracks(self._grid, (part.t_start, part.t_end))[1]
-        return float(np.quantile(np.linalg.norm(end - self._grid, axis=1), _FAST))
+        """Length of path that 90 % of the image's pixels keep to in the part, px."""
+        times = np.linspace(part.t_start, part.t_end, _LEGS + 1).astype(np.int64).tolist()
+        legs = np.diff(flow.tracks(self._grid, times), axis=0)
+        return float(np.quantile(np.linalg.norm(legs, axis=-1).sum(axis=0), _FAST))

@@ -1,6 +1,6 @@
 """The profile `rigid` on a simulated static scene, whose truth is exact, beside `realtime`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -31,7 +31,8 @@ def calm() -> Runs:
 
 
 def warm_of(recording: SimulatedRecording, profile: str) -> list[Estimate]:
-    config = load_config(profile)
+    """The windows are the same for each."""
+    config = replace(load_config(profile), window=load_config("rigid").window)
     estimator = make_estimator(recording.camera, config)
     windows = WindowSlicer(config.window).push(recording.events)
     _, *warm = [estimator.estimate(window) for window in windows]

@@ -17,7 +17,7 @@ from emoflow_ros.node.calibration_path import calibration_path
 from emoflow_ros.node.parameters import NodeOptions, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
-SENSORS = {"mvsec": 67.5, "dsec": 67.5, "davis240": 67.5, "evk4": 90.0}  # stride in ms
+SENSORS = {"mvsec": 45.0, "dsec": 45.0, "davis240": 45.0, "evk4": 90.0}  # stride in ms
 
 
 def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,0 +1,141 @@
+"""How uncertain the egomotion of a window is.
+
+Three parts add up. The normal equations say what white errors of the events do. An error of the
+flow that is smooth over the image does not average out: it looks like a rotation or a travel, and
+later windows of the same scene repeat it, so that no memory averages it either (a consider
+covariance: Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.4). And other
+directions of travel may explain the flow nearly as well.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
+from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.lattice import Lattice
+
+Array = NDArray[np.float64]
+
+# Measured on 22 random recordings, the independent and the real ones (docs/performance.md).
+_BIAS_PX = 0.2  # each polynomial of the flow's smooth error, ...
+_BIAS_OF_ROUGHNESS = 0.1  # ... and what a rough flow adds
+_LIKELY = 8.0  # cost over that of the best motion at which another one is 1/e as likely ...
+_POSSIBLE = 20.0  # ... and at which it must be reckoned with
+_CLAIMED = 0.7  # rad: a direction of travel from which possible others are further is no claim
+_WIDE = 2.0  # how far a motion may exceed what the flow's size suggests
+_ROS_ORDER = np.r_[3:6, 0:3]  # (v, w) from (w, v)
+
+
+class MotionUncertainty:
+    """Covariance of the egomotion of one window after another.
+
+    Args:
+        lattice: of the flow.
+        epipolar: its constraint.
+    """
+
+    def __init__(self, lattice: Lattice, epipolar: NodeEpipolar) -> None:
+        self._lattice = lattice
+        self._epipolar = epipolar
+        x, y = (2 * lattice.pixels / lattice.pixels.max(axis=0) - 1).T
+        shapes = np.stack([np.ones_like(x), x, y, x * y, x * x - 1 / 3, y * y - 1 / 3], axis=-1)
+        # Errors of the flow: polynomials of second order, each component by itself.
+        self._modes = np.einsum("nm,ij->nimj", shapes, np.eye(2)).reshape(len(x), 2, -1)
+        self.forget()
+
+    def forget(self) -> None:
+        """Take no other motion into account, before one is known."""
+        self._likely = self._possible = np.zeros((6, 6))
+
+    @property
+    def claims_travel(self) -> bool:
+        """Whether the motions that are possible agree on the direction of travel."""
+        return float(np.trace(self._possible[3:, 3:])) < _CLAIMED**2
+
+    def weigh_others(self, present: tuple[Array, Array], w: Array, v: Array, excess: Array) -> None:
+        """Note which other motions explain the flow.
+
+        Args:
+            present: (3,) w in rad per window and (3,) unit v of the estimate.
+            w, v: (M, 3) the others.
+            excess: (M,) their costs, less that of the present motion.
+        """
+        signs = np.where(v @ present[1] < 0, -1.0, 1.0)[:, None]
+        apart = np.hstack([w - present[0], signs * v - present[1]])
+        excess = np.maximum(excess, 0.0)
+        self._likely = _second_moment(apart, np.exp(-excess / _LIKELY))
+        self._possible = _second_moment(apart, np.exp(-excess / _POSSIBLE))
+
+    def of_travel(self, belief: Belief, flow: Array, information: Array, duration: float) -> Array:
+        """Covariance (6, 6) of (v, w), v across its direction, in rad/s for w.
+
+        Args:
+            belief: mean and covariance by the normal equations.
+            flow: (nodes, 2) px per window.
+            information: (nodes, 2, 2) of the events on it.
+            duration: of the window, s.
+        """
+        motion = Motion.constant(belief.w * duration, belief.v)
+        residuals = self._epipolar.residuals(flow[:, None], motion)
+        normal, r = residuals.by_flow[:, 0], residuals.r[:, 0]
+        rows = residuals.constant_motion
+        weight = np.einsum("ni,nij,nj->n", normal, information, normal)
+        weight *= self._epipolar.robust_weight(r[:, None])[:, 0] / INFORMATION_EXCESS
+        matrix = np.einsum("n,ni,nj->ij", weight, rows, rows)
+        v = belief.v
+        matrix[3:, 3:] += np.trace(matrix[3:, 3:]) * np.outer(v, v)  # its length is unknown
+        response = np.einsum("n,ni,nj,njm->im", weight, rows, normal, self._modes)
+        others = self._likely if self.claims_travel else self._possible
+        covariance = self._of_bias(matrix, response, flow) + others
+        scale = np.eye(6)
+        scale[:3, :3] /= duration
+        scale[3:, 3:] -= np.outer(v, v)
+        covariance = scale @ covariance @ scale.T
+        return belief.across() + covariance[np.ix_(_ROS_ORDER, _ROS_ORDER)]
+
+    def of_rotation(
+        self, belief: Belief, flow: Array, information: Array, duration: float
+    ) -> Array:
+        """Covariance (6, 6) of a camera that only turns: that of w, and -1 first for no v.
+
+        Args:
+            belief, flow, information, duration: as in `of_travel`.
+        """
+        b, usable = self._epipolar.b, self._epipolar.usable
+        weighted = np.einsum("nij,njk->nik", information, b) * usable[:, None, None]
+        weighted /= INFORMATION_EXCESS
+        matrix = np.einsum("nij,nik->jk", b, weighted)
+        response = np.einsum("nij,nim->jm", weighted, self._modes)
+        covariance = without_travel(belief.across())
+        covariance[3:, 3:] += self._of_bias(matrix, response, flow) / duration**2
+        return covariance
+
+    def _of_bias(self, matrix: Array, response: Array, flow: Array) -> Array:
+        """Propagate the flow's smooth error: the motion's normal matrix and response to it."""
+        speed = float(np.sqrt(np.mean((flow**2).sum(axis=-1)))) / self._epipolar.px_per_rad
+        prior = np.ones(len(matrix))
+        prior[:3] = (_WIDE * speed + 1e-3) ** -2
+        gain = np.linalg.solve(matrix + np.diag(prior), response)
+        return np.asarray(self._bias_px(flow) ** 2 * gain @ gain.T)
+
+    def _bias_px(self, flow: Array) -> float:
+        """Size of the flow's smooth error: neighbours that disagree have been fitted to noise."""
+        second = [
+            np.einsum("k,nki->ni", coefficients, flow[nodes])
+            for nodes, coefficients in self._lattice.second_differences
+        ]
+        roughness = np.sqrt(np.mean([np.mean((z**2).sum(axis=-1)) for z in second]))
+        return _BIAS_PX + _BIAS_OF_ROUGHNESS * float(roughness)
+
+
+def without_travel(covariance: Array) -> Array:
+    """Mark the covariance (6, 6) of (v, w) as without v (REP-145's idiom)."""
+    result = np.zeros((6, 6))
+    result[0, 0] = -1.0
+    result[3:, 3:] = covariance[3:, 3:]
+    return result
+
+
+def _second_moment(apart: Array, weight: Array) -> Array:
+    """Mean square (6, 6) of deviations (M, 6) with weights (M,), beside none of weight 1."""
+    return np.asarray((weight[:, None] * apart).T @ apart / (1 + weight.sum()))

@@ -1,0 +1,97 @@
+"""Smooth errors of the flow and other motions, as parts of the egomotion's covariance."""
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
+
+CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
+LATTICE = Lattice.with_spacing(346, 260, 26.0)
+EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, 0.7)
+DURATION = 0.1
+W = np.array([0.02, -0.05, 0.03])  # rad per window
+V = np.array([0.6, 0.0, 0.8])
+NODES = len(LATTICE.pixels)
+INFORMATION = np.tile(50.0 * np.eye(2), (NODES, 1, 1))
+NO_WHITE_ERROR = np.eye(6) * 1e-18
+
+
+def belief() -> Belief:
+    return Belief(0, W / DURATION, V, NO_WHITE_ERROR + np.pad(np.outer(V, V), (3, 0)))
+
+
+@pytest.fixture
+def uncertainty() -> MotionUncertainty:
+    return MotionUncertainty(LATTICE, EPIPOLAR)
+
+
+def smooth_errors():
+    """Polynomials of second order over the image, on one component at a time: (12, nodes, 2)."""
+    x, y = 2 * LATTICE.pixels.T / np.array([[345.0], [259.0]]) - 1
+    for shape in (np.ones_like(x), x, y, x * y, x**2 - 1 / 3, y**2 - 1 / 3):
+        for component in np.eye(2):
+            yield shape[:, None] * component
+
+
+def test_a_rotation_s_covariance_is_that_of_refits_to_flows_with_smooth_errors(uncertainty):
+    flow = EPIPOLAR.b @ (
+        0.02 * W
+    )  # slow: a fast one is rough, by the lens, which adds to the error
+    found = uncertainty.of_rotation(belief(), flow, INFORMATION, DURATION)[3:, 3:]
+    b = EPIPOLAR.b.reshape(-1, 3)
+    errors = [np.linalg.lstsq(b, 0.2 * e.ravel(), rcond=None)[0] for e in smooth_errors()]
+    expected = sum(np.outer(e, e) for e in errors) / DURATION**2
+    np.testing.assert_allclose(found, expected, rtol=0.05, atol=0.02 * np.trace(expected))
+
+
+def test_travel_before_a_near_and_rugged_scene_is_more_certain(uncertainty):
+    """The same rotation and relief, three times as near."""
+    relief = 1 + 0.5 * np.sin(LATTICE.pixels @ [0.05, 0.03])
+    sigma = []
+    for size in (0.03, 0.09):
+        flow = EPIPOLAR.b @ W + size * relief[:, None] * (EPIPOLAR.a @ V)
+        covariance = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
+        assert np.linalg.eigvalsh(covariance).min() > -1e-9
+        np.testing.assert_allclose(covariance[:3, :3] @ V, 0, atol=1e-6)
+        sigma.append(np.sqrt(np.trace(covariance[:3, :3])))
+    assert sigma[1] < 0.75 * sigma[0]
+
+
+def turned(angle: float) -> np.ndarray:
+    axis = np.array([0.0, 1.0, 0.0])
+    return np.cos(angle) * V + np.sin(angle) * np.cross(axis, V)
+
+
+@pytest.mark.parametrize(("angle", "excess", "claims"), [
+    (0.5, 0.0, True), (1.2, 0.0, False), (1.2, 200.0, True), (1.2, 20.0, True), (1.5, 10.0, False),
+])  # fmt: skip
+def test_a_direction_is_claimed_unless_another_one_far_off_is_possible(
+    uncertainty, angle, excess, claims
+):
+    uncertainty.weigh_others((W, V), W[None], turned(angle)[None], np.array([excess]))
+    assert uncertainty.claims_travel is claims
+
+
+def test_a_motion_that_explains_the_flow_as_well_counts_for_half(uncertainty):
+    other_w = W + np.array([0.0, 0.04, 0.0])
+    flow = EPIPOLAR.b @ W + 0.05 * (EPIPOLAR.a @ V)
+    before = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
+    uncertainty.weigh_others((W, V), other_w[None], -turned(0.4)[None], np.zeros(1))
+    after = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
+    added = after - before
+    assert added[4, 4] == pytest.approx(0.5 * (0.04 / DURATION) ** 2)
+    assert np.trace(added[:3, :3]) == pytest.approx(0.5 * np.sin(0.4) ** 2)
+    uncertainty.forget()
+    again = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
+    np.testing.assert_array_equal(again, before)
+
+
+def test_without_travel_only_the_rotation_s_part_is_left():
+    covariance = without_travel(np.arange(36.0).reshape(6, 6))
+    assert covariance[0, 0] == -1
+    np.testing.assert_array_equal(covariance[3:, 3:], np.arange(36.0).reshape(6, 6)[3:, 3:])
+    assert np.count_nonzero(covariance[:3]) == 1 and not covariance[3:, :3].any()
