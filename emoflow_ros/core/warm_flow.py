@@ -11,8 +11,8 @@ from emoflow_ros.core.contrast import ImageContrast, WindowEvents, best_constant
 
 F32 = NDArray[np.float32]
 
-_EVENTS = 3_000  # are enough at low resolution
-_REACH_PX = 24.0  # of the fresh search, per window
+_EVENTS = 2_000  # are enough at low resolution
+_REACH_PX = 16.0  # of the fresh search, per window
 _BETTER = 1.05  # contrast of a constant flow over that of the fit from which the fit is lost
 
 

@@ -22,7 +22,7 @@ from emoflow_ros.simulation.recording import simulate
 
 MS = 1_000_000
 CAMERA = Camera(96, 72, 80.0, 80.0, 48.0, 36.0)
-CONFIG = load_config()
+CONFIG = load_config(overrides={"window.stride_ms": 67.5})
 
 
 @pytest.fixture(scope="module")
