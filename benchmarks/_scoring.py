@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.scoreboard.uncertainty import direction_errors, normalised_squares
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.offline.results import MIN_TRUE_SPEED, WindowResult
 from emoflow_ros.offline.truth import TrueFlow, TrueTwist
@@ -68,18 +69,12 @@ def normalised_errors(estimate: Estimate, result: WindowResult) -> tuple[float, 
         v on the tangent plane of its direction, over 2. Both are 1 on average for a covariance
         that is right, and NaN where there is no estimate or no true direction.
     """
-    nees_w = nees_v = float("nan")
-    if result.ok:
-        error = result.angular_error
-        nees_w = float(error @ np.linalg.solve(estimate.covariance[3:, 3:], error)) / 3
-    if np.isfinite(result.direction_error_deg):
-        across = np.linalg.svd(result.linear[None])[2][1:]  # (2, 3), a basis across v
-        towards = across @ result.true_direction
-        angle = np.radians(result.direction_error_deg)
-        error = angle * towards / max(float(np.linalg.norm(towards)), 1e-12)
-        covariance = across @ estimate.covariance[:3, :3] @ across.T
-        nees_v = float(error @ np.linalg.solve(covariance, error)) / 2
-    return nees_w, nees_v
+    nees_w = normalised_squares(result.angular_error[None], estimate.covariance[None, 3:, 3:])
+    errors, covariance = direction_errors(
+        result.linear[None], result.true_direction[None], estimate.covariance[None, :3, :3]
+    )
+    nees_v = normalised_squares(errors, covariance)
+    return float(nees_w[0]), float(nees_v[0])
 
 
 @dataclass(frozen=True)

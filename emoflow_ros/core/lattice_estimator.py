@@ -87,7 +87,8 @@ class LatticeEstimator:
                 coarse = self._fit.contrasts[0.25]
                 self._fit.flow = best_start(coarse, events, last.flows(window))
                 stop = self._fit_warm(events, last.predict(self._fit, window))
-                warm = not is_lost(coarse, events, self._fit.flow)
+                # A cold fit takes longer than any deadline leaves.
+                warm = self._late() or not is_lost(coarse, events, self._fit.flow)
             if not warm:
                 self.reset()
                 stop = self._fit_cold(events)

@@ -12,7 +12,7 @@ from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.windows import NS_PER_S, Window
 
 # Shares of the flow's change in a window that may go on: the events decide.
-EXTRAPOLATIONS = (0.5, 0.0, 1.0, 1.5)
+_EXTRAPOLATIONS = (0.5, 0.0, 1.0, 1.5)
 _MAX_GAP_S = 0.3  # longer silence ends a warm start
 
 
@@ -40,15 +40,13 @@ class Memory:
         return window.t_end >= self.t_end and silence <= _MAX_GAP_S * NS_PER_S
 
     def flows(self, window: Window) -> list[NDArray[np.float32]]:
-        """Flows (columns, rows, times, 2) that a later window may show, for EXTRAPOLATIONS."""
-        length = self.t_end - self.t_start
-        ratio = (window.t_end - window.t_start) / length
-        ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end) / length
+        """Flows (columns, rows, times, 2) that a later window may show, for _EXTRAPOLATIONS."""
+        ratio, ahead = self._scale(window)
         mean = self.flow.mean(axis=2, keepdims=True)
         change = self.flow[:, :, -1:] - self.flow[:, :, :1]
         times = self.flow.shape[2]
         nodes = ((np.linspace(0, 1, times) - 0.5) * ratio + ahead).astype(np.float32)  # in windows
-        slopes = [share * change * nodes[:, None] for share in EXTRAPOLATIONS]
+        slopes = [share * change * nodes[:, None] for share in _EXTRAPOLATIONS]
         return [((mean + slope) * ratio).astype(np.float32) for slope in slopes]
 
     def predict(self, fit: LatticeFit, window: Window) -> MotionPrior | None:
@@ -57,9 +55,7 @@ class Memory:
         Returns:
             What is known of the motion in the middle of that window, if anything.
         """
-        length = self.t_end - self.t_start
-        ratio = (window.t_end - window.t_start) / length
-        ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end) / length
+        ratio, ahead = self._scale(window)
         mean = self.flow.mean(axis=2, keepdims=True)
         w, v = self.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v, speed=ratio)
@@ -77,3 +73,9 @@ class Memory:
         return MotionPrior.carried(
             self.belief, window, config.angular_drift, config.direction_drift
         )
+
+    def _scale(self, window: Window) -> tuple[float, float]:
+        """Length of a later window and way to its middle, both in lengths of this one."""
+        length = self.t_end - self.t_start
+        ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end)
+        return (window.t_end - window.t_start) / length, ahead / length

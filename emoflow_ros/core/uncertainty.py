@@ -16,7 +16,7 @@ from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
 
-# Measured on 22 random recordings, the independent and the real ones (docs/performance.md).
+# Chosen on 22 random recordings, the independent and the real ones (docs/method.md).
 _BIAS_PX = 0.2  # each polynomial of the flow's smooth error, ...
 _BIAS_OF_ROUGHNESS = 0.1  # ... and what a rough flow adds
 _LIKELY = 8.0  # cost over that of the best motion at which another one is 1/e as likely ...
