@@ -11,8 +11,7 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.offline import label, label_chunks
 from emoflow_ros.offline.estimates import read_estimates
 
-MS = 1_000_000
-SECOND = 1_000_000_000
+MS, SECOND = 1_000_000, 1_000_000_000
 
 
 class Flow:
