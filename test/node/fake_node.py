@@ -46,6 +46,12 @@ class FakeNode:
         [topic] = [name for name, p in self.publishers.items() if p is publisher]
         del self.publishers[topic]
 
+    def create_timer(self, period_s: float, callback: Any, clock: Any) -> Any:
+        return SimpleNamespace(cancel=lambda: None, reset=lambda: None, fire=callback)
+
+    def destroy_timer(self, timer: Any) -> None:
+        pass
+
     def get_fully_qualified_name(self) -> str:
         return "/estimator"
 
