@@ -122,7 +122,6 @@ class EstimatorNode(LifecycleNode):
                     topic=pipeline.take_topic,
                     events=pipeline.take_events,
                     camera_info=pipeline.take_camera_info if pipeline.hears_camera_info else None,
-                    imu=pipeline.imu.take if pipeline.imu else None,
                 ),
                 statistics=pipeline.statistics,
             )

@@ -10,11 +10,10 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import CameraInfo, Imu
+from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import EventTopic, TopicSearch, import_message_type
-from emoflow_ros.node.imu_source import IMU_QOS, imu_topic
 from emoflow_ros.node.qos_overrides import given_overrides
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.statistics import Level, Statistics
@@ -33,13 +32,11 @@ class Callbacks:
         topic: told which topic was found; again if it turns out to be another one.
         events: each serialised event message.
         camera_info: each calibration; None if the node has one.
-        imu: each serialised message of the IMU; None if none is used.
     """
 
     topic: Callable[[EventTopic], None]
     events: Callable[[bytes], None]
     camera_info: Callable[[CameraInfo], None] | None
-    imu: Callable[[bytes], None] | None = None
 
 
 class EventSource:
@@ -158,17 +155,6 @@ class EventSource:
                     self._callbacks.camera_info,
                     _CAMERA_INFO_QOS,
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                )
-            )
-        if self._callbacks.imu is not None:
-            self._subscriptions.append(
-                self._node.create_subscription(
-                    Imu,
-                    imu_topic(self._node, topic),
-                    self._callbacks.imu,
-                    IMU_QOS,
-                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                    raw=True,
                 )
             )
         self._subscriptions.append(

@@ -10,27 +10,30 @@ from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
 
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.gyro_faults import GyroState
 from emoflow_ros.node.discovery import EventTopic
 from emoflow_ros.node.imu_input import ImuInput, MountingError
+from emoflow_ros.node.polled_subscription import PolledSubscription
 from emoflow_ros.node.statistics import Level, Statistics
 from emoflow_ros.node.target_frame import NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
 
-IMU_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=500, reliability=ReliabilityPolicy.BEST_EFFORT
+_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
 )
-_LOOK_S = 0.004
+_FETCH_S = 0.05  # between events, so that the middleware's history does not overflow
+_LOOK_S = 0.004  # while a window waits
 
 
 class ImuSource:
     """Puts the readings of the topic `imu` beside windows.
 
     Args:
-        node: looks at the clock and at tf.
+        node: subscribes, and listens to tf.
         config: of the gyro, `use` is not off.
         hand_on: gets windows that wait no longer.
         statistics: told what is wrong with the gyro.
@@ -53,34 +56,43 @@ class ImuSource:
         self._statistics = statistics
         self._level = Level.ERROR if config.use == "require" else Level.WARN
         self._topic = ""
+        self._subscription: PolledSubscription | None = None
         self._config = config
         self._tf: TfFrame | None = None
         if config.rotation == ROTATION_FROM_TF:
             self._tf = TfFrame(node, "", "imu.rotation", "give imu.rotation as roll,pitch,yaw")
             made.callback(self._tf.close)
         self._input = ImuInput(config, self._mounting)
-        self._timer = node.create_timer(
-            _LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
-        self._timer.cancel()
-        made.callback(node.destroy_timer, self._timer)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        fetching = node.create_timer(_FETCH_S, self._release, clock=steady)
+        self._looking = node.create_timer(_LOOK_S, self._look, clock=steady)
+        self._looking.cancel()
+        for timer in (fetching, self._looking):
+            made.callback(node.destroy_timer, timer)
+        made.callback(self.stop)
 
-    def set_topic(self, topic: EventTopic) -> None:
-        """Take the IMU beside this topic from now on."""
+    def listen(self, topic: EventTopic) -> None:
+        """Take the IMU beside this event topic from now on."""
+        self.stop()
         self._topic = imu_topic(self._node, topic)
+        self._subscription = PolledSubscription(
+            self._node, Imu, self._topic, _QOS, self._input.take
+        )
 
-    def take(self, data: bytes) -> None:
-        """Take a serialised message of the IMU."""
-        self._input.take(data)
-        if self._input.is_waited_for:
-            self._release()
+    def stop(self) -> None:
+        """Unsubscribe."""
+        if self._subscription is not None:
+            self._subscription.close()
+        self._subscription = None
+        self._topic = ""
+        self._statistics.clear_problem("gyro")
 
     def push(self, tasks: list[Task]) -> None:
         """Take windows; they are handed on with their readings, at once or a little later."""
         self._input.hold(tasks)
         self._release()
         if self._input.is_waited_for:
-            self._timer.reset()
+            self._looking.reset()
 
     def forget(self) -> int:
         """Forget the windows that wait; return how many."""
@@ -101,9 +113,11 @@ class ImuSource:
     def _look(self) -> None:
         self._release()
         if not self._input.is_waited_for:
-            self._timer.cancel()
+            self._looking.cancel()
 
     def _release(self) -> None:
+        if self._subscription is not None:
+            self._subscription.fetch()
         if tasks := self._input.ready():
             self._hand_on(tasks)
 

@@ -126,7 +126,8 @@ class Pipeline:
         self._input = None
         self._epoch += 1
         self._forget_waiting()
-        self.statistics.clear_problem("gyro")
+        if self.imu is not None:
+            self.imu.stop()
         self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def take_topic(self, topic: EventTopic) -> None:
@@ -138,7 +139,7 @@ class Pipeline:
         self.is_topic_used = False
         self._topic = topic
         if self.imu is not None:
-            self.imu.set_topic(topic)
+            self.imu.listen(topic)
         self._epoch += 1
         self._encoding = ""
         self._input = EventInput(
