@@ -20,6 +20,7 @@ topics in:
                sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
                the node's namespace is taken; PointCloud2 must be remapped
   camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped
+  imu          sensor_msgs/Imu, a gyro, beside the events unless remapped; with imu.use
 
 topics out:
   egomotion/twist, egomotion/twist_with_covariance   camera velocity: direction and rad/s

@@ -23,8 +23,8 @@ def table() -> list[list[str]]:
 
 
 def existing() -> set[str]:
-    """Names of all tests of the node, alone and over DDS, and of recordings."""
-    folders = [ROOT / "test" / name for name in ("node", "integration", "offline")]
+    """Names of all tests of the node, alone and over DDS, of the core and of recordings."""
+    folders = [ROOT / "test" / name for name in ("node", "integration", "core", "offline")]
     files = [path for folder in folders for path in folder.glob("test_*.py")]
     bodies = [ast.parse(path.read_text()).body for path in files]
     return {node.name for body in bodies for node in body if isinstance(node, ast.FunctionDef)}
