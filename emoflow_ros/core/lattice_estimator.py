@@ -27,6 +27,7 @@ from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
 from emoflow_ros.core.warm_flow import best_start, is_lost
 from emoflow_ros.core.windows import Window
+from emoflow_ros.core.working_image import WorkingImage
 
 Array = NDArray[np.float64]
 
@@ -53,10 +54,10 @@ class LatticeEstimator:
     def __init__(
         self, camera: Camera, config: LatticeConfig, make_contrast: ContrastFactory = Contrast
     ) -> None:
-        self.camera = camera
         self.config = config
-        self.lattice = Lattice.with_spacing(camera.width, camera.height, config.spacing_px)
-        self._epipolar = NodeEpipolar(camera, self.lattice, config.dec_inlier_px)
+        self._image = WorkingImage.of(camera)
+        self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
+        self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         self._uncertainty = MotionUncertainty(self.lattice, self._epipolar)
         # The systems are small: threads of the linear algebra library would only spin.
@@ -77,7 +78,7 @@ class LatticeEstimator:
     def _estimate(self, window: Window) -> Estimate:
         self._started = time.perf_counter()
         self._iterations = 0
-        events = prepare(window, self.camera, self.config)
+        events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
         last = self._last
@@ -189,17 +190,17 @@ class LatticeEstimator:
             # A motion that puts part of the scene behind the camera has not proved itself.
             doubt = (1 - abs(self._selector.agreement)) / _DOUBT
             costs = costs + max(0.0, 1 - doubt) * prior.surprise(directions)
-        self._uncertainty.weigh_others(
-            (fit.motion.at(0.5)[0], present), rotations, directions, costs - cost
-        )
         best = int(costs.argmin())
         before = self._selector.model
         rotates = before is MotionModel.ROTATION  # whose v is but a guess, held ready
         switch = costs[best] < (1.0 if rotates else _SWITCH) * cost
+        middle = fit.motion.at(0.5)[0]
         if switch:
             v = directions[best]
             present = v if v @ present >= 0 else -v
-            w = rotations[best]
+            w, cost = rotations[best], costs[best]
+            middle = w
+        self._uncertainty.weigh_others((middle, present), rotations, directions, costs - cost)
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()
@@ -255,7 +256,7 @@ class LatticeEstimator:
                 iterations=self._iterations,
                 stop_reason=stop,
                 contrast_gain=gain,
-                residual_px=scale,
+                residual_px=scale * float(self._image.sensor_px.max()),
                 inlier_fraction=float(np.mean(np.abs(residual) <= 3 * scale)),
                 runtime_s=time.perf_counter() - self._started,
                 warm=warm,
@@ -264,7 +265,7 @@ class LatticeEstimator:
             front * v,
             w / window.duration,
             covariance,
-            LatticeFlow(self.lattice, fit.flow, window.t_start, window.t_end),
+            LatticeFlow(*self._image.on_sensor(self.lattice, fit.flow), window.t_start, window.t_end),
             SplineMotion(
                 window.t_start, window.t_end, fit.motion.w / window.duration, front * fit.motion.v
             ),
