@@ -9,8 +9,10 @@ import argparse
 import os
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+from benchmarks.scoreboard.compare import compare, describe, read_run
 from benchmarks.scoreboard.random_subjects import random_subjects
 from benchmarks.scoreboard.report import write_report
 from benchmarks.scoreboard.run import measure_all, save_windows
@@ -18,7 +20,7 @@ from benchmarks.scoreboard.subjects import SHARED_DATA, Subject, shared_subjects
 from benchmarks.scoreboard.summary import summarise
 from benchmarks.scoreboard.table import table
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import load_config
+from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.arguments import (
     add_configuration_options,
@@ -34,6 +36,7 @@ _EPILOG = """\
 examples:
   python -m benchmarks.scoreboard --quick
   python -m benchmarks.scoreboard --only 'independent|real'
+  python -m benchmarks.scoreboard --gyro
   python -m benchmarks.scoreboard --only random --seeds 0:30 --set estimator.max_events=20000
 """
 
@@ -63,6 +66,12 @@ def _parse() -> argparse.Namespace:
         default=Path("out/accuracy/cache"),
         help="folder of random recordings that were simulated before (default: out/accuracy/cache)",
     )
+    add(
+        "--gyro",
+        action="store_true",
+        help="measure a second time with a gyro (imu.use=auto), into OUT/gyro, and print both "
+        "side by side",
+    )
     add("--no-report", action="store_true", help="write no report.html")
     add_configuration_options(parser)
     return parser.parse_args()
@@ -70,18 +79,28 @@ def _parse() -> argparse.Namespace:
 
 def _run(options: argparse.Namespace) -> None:
     config = load_config(options.profile, overrides(options))
+    _measure(options, config, options.out)
+    if options.gyro:
+        aided = replace(config, imu=replace(config.imu, use="auto"))
+        _measure(options, aided, options.out / "gyro")
+        print("\nwithout a gyro, and with one:")
+        print(describe(compare(read_run(options.out), read_run(options.out / "gyro"))))
+
+
+def _measure(options: argparse.Namespace, config: Config, folder: Path) -> None:
+    """Measure all recordings and write the results into a folder."""
     subjects, missing = _subjects(options)
-    make_folder(options.out)
+    make_folder(folder)
     load = os.getloadavg()[0]
     outcomes = measure_all(subjects, config, options.jobs)
     document = summarise(outcomes, config, missing, load)
     print(table(document))
-    save_windows(options.out, outcomes)
-    path = options.out / "accuracy.json"
+    save_windows(folder, outcomes)
+    path = folder / "accuracy.json"
     write_json(path, document)
     print(f"written to {path}")
     if not options.no_report:
-        print(write_report(options.out, outcomes, document))
+        print(write_report(folder, outcomes, document))
 
 
 def _subjects(options: argparse.Namespace) -> tuple[list[Subject], list[str]]:

@@ -38,15 +38,19 @@ def start_times(material: Material) -> tuple[int, int]:
 def observe(material: Material, config: Config) -> Windows:
     """Estimate all windows of both cold starts, and compare each one with the truth.
 
-    Without any event there is no window.
+    With `imu.use` the windows carry the readings of the recording's gyro, where it has one. Without
+    any event there is no window.
     """
     if not len(material.events):
         return make_windows([])
+    gyro = material.gyro if config.imu.use != "off" else None
     rows = []
     for start, begin in enumerate(start_times(material)):
         events = material.events[int(np.searchsorted(material.events.t, begin)) :]
         estimator = make_estimator(material.calibration, config)
         for window in WindowSlicer(config.window).push(events):
+            if gyro is not None:
+                window = window.with_gyro(gyro)
             began = time.perf_counter()
             estimate, _ = attempt(estimator, window)
             seconds = time.perf_counter() - began

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks._scoring import SimulatedTruth
+from benchmarks.scoreboard.gyros import gyro_of_simulation
 from benchmarks.scoreboard.subjects import Material, Subject
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.truth import Truth
 from emoflow_ros.simulation.random_recording import (
     Factors,
@@ -63,9 +65,11 @@ class RandomSubject:
             if not path.exists():
                 self._simulate(factors, path)
             events, camera, calibration = _read(path)
-        truth = SimulatedTruth(random_truth(factors, duration_s=self.duration_s))
+        exact = random_truth(factors, duration_s=self.duration_s)
+        truth = SimulatedTruth(exact)
+        gyro = gyro_of_simulation(exact, 0, round(self.duration_s * NS_PER_S), self.name)
         told = {name: value for name, value in factors.as_dict().items() if name != "seed"}
-        return Material(events, camera, calibration, Truth(truth, truth), factors=told)
+        return Material(events, camera, calibration, Truth(truth, truth), factors=told, gyro=gyro)
 
     def _digest(self, factors: Factors) -> str:
         made_from = [SIMULATOR_VERSION, self.duration_s, factors.as_dict()]

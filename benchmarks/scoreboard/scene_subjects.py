@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks._scoring import SimulatedTruth
+from benchmarks.scoreboard.gyros import gyro_of_simulation
 from benchmarks.scoreboard.subjects import Material
 from emoflow_ros.offline.truth import Truth
 from emoflow_ros.simulation.recording import simulate
@@ -40,4 +41,5 @@ class SceneSubject:
         """Simulate it, with 500 images per second."""
         made = simulate(self.scene, duration_s=self.duration_s, seed=self.seed, fps=_FPS)
         truth = SimulatedTruth(made.truth)
-        return Material(made.events, made.camera, made.camera, Truth(truth, truth))
+        gyro = gyro_of_simulation(made.truth, made.t_start, made.t_end, self.name)
+        return Material(made.events, made.camera, made.camera, Truth(truth, truth), gyro=gyro)

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from benchmarks.scoreboard.gyros import gyro_of_poses, own_gyro
 from benchmarks.scoreboard.truths import NominalFlow
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.offline.readers import open_recording, require_camera
 from emoflow_ros.offline.truth import Truth, load_truth
 
@@ -30,6 +32,7 @@ class Material:
             image moves.
         gyro_scale: largest factor by which the true angular velocity may be too small.
         factors: what a random recording was drawn from.
+        gyro: readings of a gyro; None where there is none.
     """
 
     events: Events
@@ -39,6 +42,7 @@ class Material:
     exact_flow: bool = True
     gyro_scale: float = 1.0
     factors: dict[str, Any] = field(default_factory=dict)
+    gyro: GyroReadings | None = None
 
 
 class Subject(Protocol):
@@ -93,9 +97,11 @@ class Independent:
         return next((path for path in self._paths if not path.exists()), None)
 
     def load(self) -> Material:
-        """Read events, poses and flow."""
+        """Read events, poses and flow; the gyro is made from the poses."""
         data, *truth = self._paths
-        return _read(data, truth)
+        material = _read(data, truth)
+        poses = material.truth.poses
+        return replace(material, gyro=gyro_of_poses(poses, self.name) if poses else None)
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,7 @@ class Real:
         return None if self.folder.is_dir() else self.folder
 
     def load(self) -> Material:
-        """Read events and the truth beside them."""
+        """Read events, the truth beside them and the gyro, if there is one."""
         material = _read(self.folder, ())
         twists = material.truth.twists
         assert twists is not None
@@ -138,6 +144,7 @@ class Real:
             truth,
             exact_flow=False,
             gyro_scale=self.gyro_scale,
+            gyro=material.gyro,
         )
 
 
@@ -154,4 +161,5 @@ def _read(path: Path, truth: Sequence[Path]) -> Material:
     with open_recording(path) as recording:
         camera = require_camera(recording)
         events = Events.concatenate(list(recording.event_chunks()))
-        return Material(events, camera, camera, load_truth(recording, truth))
+        gyro = own_gyro(recording.imu())
+        return Material(events, camera, camera, load_truth(recording, truth), gyro=gyro)

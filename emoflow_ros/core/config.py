@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.implicit.config import ImplicitConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import option, options_of, replace_options
@@ -31,6 +32,7 @@ class Config:
     )
     window: WindowPolicy = field(default_factory=WindowPolicy)
     estimator: LatticeConfig | ImplicitConfig = field(default_factory=LatticeConfig)
+    imu: GyroConfig = field(default_factory=GyroConfig)
 
     def flat(self) -> dict[str, Any]:
         """All values by dotted name, as written beside every result."""

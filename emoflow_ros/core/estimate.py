@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.gyro_faults import GyroStatus
 from emoflow_ros.core.windows import Window
 
 
@@ -105,6 +106,7 @@ class Estimate:
         flow: the flow field; None unless the status is OK.
         motion: the egomotion over the window; None unless the status is OK.
         quality: the record behind the status.
+        gyro: whether a gyro took part.
     """
 
     t_start: int
@@ -118,6 +120,7 @@ class Estimate:
     covariance: NDArray[np.float64] = field(default_factory=_unknown_covariance)
     flow: FlowSampler | None = None
     motion: Motion | None = None
+    gyro: GyroStatus = field(default_factory=GyroStatus)
 
     @property
     def translation_observable(self) -> bool:

@@ -1,11 +1,12 @@
 """Causal time windows over an event stream."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.options import option
 from emoflow_ros.errors import InputError
 
@@ -18,11 +19,14 @@ class Window:
     """Events of the interval [t_start, t_end), in nanoseconds.
 
     In a window by count, events that share the time of the first one left out may lie at t_end.
+    `gyro` holds the readings of the interval, and the next one on either side; None where there
+    is no gyro.
     """
 
     t_start: int
     t_end: int
     events: Events
+    gyro: GyroReadings | None = None
 
     @property
     def duration(self) -> float:
@@ -33,7 +37,12 @@ class Window:
         """Return the part from time t (ns) on, the window itself if it starts no earlier."""
         if t <= self.t_start:
             return self
-        return Window(t, self.t_end, self.events[int(np.searchsorted(self.events.t, t)) :])
+        events = self.events[int(np.searchsorted(self.events.t, t)) :]
+        return replace(self, t_start=t, events=events)
+
+    def with_gyro(self, readings: GyroReadings) -> "Window":
+        """Return the window with those of a gyro's readings that cover it."""
+        return replace(self, gyro=readings.covering(self.t_start, self.t_end))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ _HEAD = """\
 
 Generated from the table that the node declares them from; write it anew with
 `python -m emoflow_ros.node.parameter_docs`. `evaluate --set NAME=VALUE` takes those of
-`window.*` and `estimator.*`, too.
+`window.*`, `estimator.*` and `imu.*`, too.
 
 A name that does not exist, or a value out of range, is refused with the reason. A dump of the
 node (`ros2 param dump`) can be loaded again: what cannot change may be in it unchanged. Parameters

@@ -38,7 +38,14 @@ __all__ = [
 
 _INT64_MAX = 2**63 - 1
 _ONLY_AT_START = ("autostart", "profile", "method")
-_CONNECTIONS = ("input.", "camera.", "output.", "estimator.device", "on_missing_device")
+_CONNECTIONS = (
+    "input.",
+    "camera.",
+    "output.",
+    "imu.",
+    "estimator.device",
+    "on_missing_device",
+)
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 

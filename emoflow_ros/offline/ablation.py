@@ -8,6 +8,7 @@ from typing import Any
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.windows import Window
@@ -143,6 +144,7 @@ def ablate(
     slicer: Slicer,
     base: Evaluation,
     *,
+    gyro: GyroReadings | None = None,
     max_windows: int | None = None,
 ) -> Ablation:
     """Evaluate every variant on the windows of a finished run.
@@ -153,6 +155,7 @@ def ablate(
         recording: its recording.
         slicer: its slicer, in its first state.
         base: the run, which serves the variant that changes nothing.
+        gyro: readings for the windows, where a gyro is used.
         max_windows: where the run stopped, if not at the recording's end.
 
     Raises:
@@ -169,6 +172,7 @@ def ablate(
                 ColdStarts(estimator) if variant.cold else estimator,
                 copy.deepcopy(slicer),
                 base.truth,
+                gyro=gyro,
                 max_windows=max_windows,
                 progress_bar=True,
             )

@@ -1,6 +1,6 @@
 """Windows that hold other events than the interval that they are compared over."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from emoflow_ros.core.windows import Window
 
@@ -13,12 +13,11 @@ class Clip(Window):
         compared: the interval with all of its events, of which the window may hold more or fewer.
     """
 
-    compared: Window
+    compared: Window = field(kw_only=True)
 
     def since(self, t: int) -> Window:
         """Return the part from time t (ns) on, at the least the interval that is compared."""
-        part = Window.since(self, min(t, self.compared.t_start))
-        return part if part is self else Clip(part.t_start, part.t_end, part.events, self.compared)
+        return Window.since(self, min(t, self.compared.t_start))
 
 
 def compared_part(window: Window) -> Window:

@@ -27,6 +27,8 @@ from emoflow_ros.offline.arguments import (
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.evaluation import Evaluation, proceed
+from emoflow_ros.offline.gyro_check import check_lines
+from emoflow_ros.offline.gyro_input import add_imu_options, read_gyro, shares, with_choice
 from emoflow_ros.offline.protocols import (
     CAUSAL,
     POLICIES,
@@ -56,6 +58,7 @@ examples:
   evaluate zurich_city_12_a/ --protocol dsec --timestamps zurich_city_12_a.csv \\
            --submission out/submission
   evaluate recording.bag --tracks 150
+  evaluate recording.bag --imu /davis/left/imu --check-imu
   evaluate recording.bag --gt recording_gt.bag --ablate huber
   evaluate compare out/run1 out/run2     (runs side by side; evaluate compare --help)
 
@@ -101,6 +104,7 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
     )
     add_recording_options(parser)
     add_configuration_options(parser)
+    add_imu_options(parser)
     add(
         "--protocol",
         default=WINDOWS,
@@ -164,6 +168,7 @@ def _parse(arguments: Ordered[str]) -> argparse.Namespace:
 
 def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, overrides(options))
+    config = with_choice(config, options.imu, check=options.check_imu)
     windows = adapt_windows(config.window, options.protocol, options.policy)
     config = replace(config, window=windows)
     if options.ablate:
@@ -184,6 +189,8 @@ def _run(options: argparse.Namespace) -> int:
             test_times=options.timestamps,
         )
         submission = _submission(options, plan, camera)
+        gyro = read_gyro(recording, config.imu, options.imu)
+        readings = gyro.readings if gyro and not options.check_imu else None
         make_folder(folder)
         checkpoint = Checkpoint(folder / "checkpoint.pickle", _identity(options, config, plan))
         done = checkpoint.load() if options.resume else None
@@ -206,6 +213,7 @@ def _run(options: argparse.Namespace) -> int:
                 progress,
                 plan.truth,
                 protocol=plan.description,
+                gyro=readings,
                 writer=writer,
                 submission=submission,
                 checkpoint=checkpoint,
@@ -220,15 +228,19 @@ def _run(options: argparse.Namespace) -> int:
                 recording,
                 plan.slicer,
                 run,
+                gyro=readings,
                 max_windows=options.max_windows,
             )
     if not run.windows:  # interrupted before the first one was done
         raise KeyboardInterrupt
     run.published, run.speed = plan.published, options.speed
+    run.imu = gyro.description if gyro and readings else ""
     report = write_report(run, config.flat(), folder, ablation)
     _print_summary(run, report)
+    if gyro and options.check_imu:
+        print("\n".join(check_lines(run.windows, gyro, config.imu)))
     if submission and not run.interrupted:
-        _finish(submission)
+        submission.report()
     if ablation:
         print(table_of(ablation))
     if ablation and ablation.interrupted:
@@ -252,13 +264,6 @@ def _submission(options: argparse.Namespace, plan: Plan, camera: Camera) -> Subm
     return Submission(options.submission, name, plan.images, camera, keep=options.resume)
 
 
-def _finish(submission: Submission) -> None:
-    missing = submission.finish()
-    print(submission.folder)
-    if missing:
-        print(f"{missing} of its images have no estimate and show no motion", file=sys.stderr)
-
-
 def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[str, Any]:
     """What has to be the same for a run to be continued."""
     return {
@@ -267,6 +272,8 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
         "calibration": str(options.calib),
         "truth": plan.truth.description,
         "protocol": plan.description,
+        "--imu": str(options.imu),
+        "--check-imu": options.check_imu,
         "configuration": config.flat(),
         "choice of --save-flow": options.save_flow,
         "--submission": str(options.submission),
@@ -278,6 +285,8 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
 def _print_summary(run: Evaluation, report: Report) -> None:
     ok = sum(w.ok for w in run.windows)
     print(f"{ok} of {len(run.windows)} windows estimated")
+    if run.imu:
+        print(f"IMU: {run.imu}; gyro {shares(w.gyro for w in run.windows)}")
     for m in report.measures:
         interval = f"  [{m.low:.2f}, {m.high:.2f}]" if m.low == m.low else ""
         print(f"  {m.label:<50} {m.value:9.2f} {m.unit:<6}{interval}")

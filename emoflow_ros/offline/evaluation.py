@@ -11,6 +11,7 @@ from tqdm import tqdm
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Checkpoint, EndingSlicer, Progress, Slicer
@@ -46,6 +47,7 @@ class Evaluation:
         wall_s: time that the run took, s: reading, estimating and comparing.
         speed: of the camera, m/s, where it is given.
         published: figures of the paper to stand beside the summary.
+        imu: whose gyro was used, in words; empty without one.
     """
 
     source: Path
@@ -60,6 +62,7 @@ class Evaluation:
     wall_s: float = 0.0
     speed: float | None = None
     published: Published | None = None
+    imu: str = ""
 
 
 def evaluate(
@@ -69,6 +72,7 @@ def evaluate(
     truth: Truth,
     *,
     protocol: str = "",
+    gyro: GyroReadings | None = None,
     writer: EstimatesWriter | None = None,
     max_windows: int | None = None,
     progress_bar: bool = False,
@@ -81,6 +85,7 @@ def evaluate(
         slicer: the window policy.
         truth: may be empty.
         protocol: the slicer's windows in words, for the report.
+        gyro: readings for the windows, where a gyro is used.
         writer: receives every estimate, if given.
         max_windows: where to stop, if not at the recording's end.
         progress_bar: whether to show a bar over the recording's time.
@@ -93,6 +98,7 @@ def evaluate(
         Progress(estimator, slicer),
         truth,
         protocol=protocol,
+        gyro=gyro,
         writer=writer,
         max_windows=max_windows,
         progress_bar=progress_bar,
@@ -105,6 +111,7 @@ def proceed(
     truth: Truth,
     *,
     protocol: str = "",
+    gyro: GyroReadings | None = None,
     writer: EstimatesWriter | None = None,
     submission: Submission | None = None,
     checkpoint: Checkpoint | None = None,
@@ -141,7 +148,7 @@ def proceed(
         began = time.perf_counter()
         try:
             for window in islice(_windows(recording, progress), left):
-                _process(progress, window, truth, writer, submission)
+                _process(progress, window, truth, gyro, writer, submission)
                 ended = time.perf_counter()
                 progress.wall_s += ended - began
                 began = ended
@@ -220,10 +227,13 @@ def _process(
     progress: Progress,
     window: Window,
     truth: Truth,
+    gyro: GyroReadings | None,
     writer: EstimatesWriter | None,
     submission: Submission | None,
 ) -> None:
     """Estimate and assess the first pending window."""
+    if gyro is not None:
+        window = window.with_gyro(gyro)
     estimate, note = attempt(progress.estimator, window)
     cut, window = window, window.since(estimate.t_start)
     tracker = progress.tracker

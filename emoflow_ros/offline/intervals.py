@@ -65,7 +65,7 @@ class CausalSlicer:
         assert self._first is not None
         start = self._starts[window.t_end]
         window = window.since(min(start, self._first))
-        return Clip(window.t_start, window.t_end, window.events, window.since(start))
+        return Clip(window.t_start, window.t_end, window.events, compared=window.since(start))
 
 
 class ClipSlicer:
@@ -147,7 +147,7 @@ def with_lead_in(intervals: Sequence[Interval], count: int) -> list[Interval]:
 def _clip(start: int, end: int, inside: Events, events: Events) -> Clip:
     t_start = min(start, int(events.t[0]))
     t_end = max(end, int(events.t[-1]) + 1)
-    return Clip(t_start, t_end, events, Window(start, end, inside))
+    return Clip(t_start, t_end, events, compared=Window(start, end, inside))
 
 
 def _without_past(events: Events, intervals: Sequence[Interval], margin: int) -> Events:

@@ -118,6 +118,8 @@ def _check(options: argparse.Namespace, config: Config) -> None:
         raise InputError(
             "window.count", "chunks of time need windows by time", "leave window.count at 0"
         )
+    if config.imu.use != "off":
+        raise InputError("imu.use", "labels are made without a gyro", "leave it off")
     if options.workers and not options.ray:
         raise InputError("--workers", "there are none without --ray", "give --ray local")
 

@@ -112,6 +112,7 @@ def _facts(run: Evaluation) -> dict[str, Any]:
         "camera": f"{camera.width}x{camera.height}, {camera.model}, fx {camera.fx:.2f}, "
         f"fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} px",
         "truth": run.truth.description,
+        "imu": run.imu or None,
         "protocol": run.protocol,
         "published": dataclasses.asdict(run.published) if run.published else None,
         "speed_m_s": run.speed,

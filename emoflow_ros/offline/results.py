@@ -48,6 +48,7 @@ class WindowResult:
             truth knows of one in the image.
         other_truths: the velocity that each of Truth.other_twists says.
         pose: true world-from-camera (4, 4) at the window's middle, where known.
+        gyro: whether a gyro took part, and if not, why: a GyroStatus in words.
     """
 
     index: int
@@ -67,6 +68,7 @@ class WindowResult:
     static_flow: FlowErrors | None = None
     other_truths: tuple[TrueTwist | None, ...] = ()
     pose: NDArray[np.float64] | None = None
+    gyro: str = ""
 
     @property
     def t(self) -> int:
@@ -178,6 +180,7 @@ def assess(
         static_flow=static_flow,
         other_truths=tuple(source.twist(t) for source in truth.other_twists),
         pose=_true_pose(truth, t),
+        gyro=str(estimate.gyro),
     )
 
 

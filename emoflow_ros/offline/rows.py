@@ -53,6 +53,7 @@ def window_row(window: WindowResult) -> dict[str, Any]:
         "track_age_s": tracks and tracks.age_s,
         "compared_tracks": tracks and tracks.points,
         **quality_values(window.quality, window.events, window.translation_observable),
+        "gyro": window.gyro,
         "note": window.note,
     }
     return {name: without_nan(value) for name, value in row.items()}

@@ -5,6 +5,7 @@ benchmark's `<sequence>.csv`: the displacement over the interval at every pixel 
 view (dsec.ifi.uzh.ch/optical-flow-submission-format).
 """
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -76,3 +77,10 @@ class Submission:
         for path in missing:
             write_flow_png(path, np.zeros(self._shape, np.float32))
         return len(missing)
+
+    def report(self) -> None:
+        """Finish, and say where the images are and how many have no estimate."""
+        missing = self.finish()
+        print(self.folder)
+        if missing:
+            print(f"{missing} of its images have no estimate and show no motion", file=sys.stderr)

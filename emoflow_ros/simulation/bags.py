@@ -11,17 +11,14 @@ from tqdm import tqdm
 
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.simulation import messages as msg
+from emoflow_ros.simulation.imu import SimulatedImu
 from emoflow_ros.simulation.messages import ImuSample, MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording
 
 TRUTH_PERIOD = NS_PER_S // 20  # depth and flow, as in MVSEC
 _POSE_PERIOD = NS_PER_S // 100
-_IMU_PERIOD = NS_PER_S // 1000
 _INFO_PERIOD = NS_PER_S // 20
 _EVENT_BATCH = 10 * NS_PER_MS
-_GRAVITY = np.array([0.0, 9.81, 0.0])  # the world's y axis points down
-_GYRO_NOISE = 0.003  # rad/s
-_FORCE_NOISE = 0.03  # m/s^2
 
 
 @dataclass(frozen=True)
@@ -30,27 +27,23 @@ class Topic:
 
     name: str
     msgtype: str
-    times: range
+    times: Sequence[int]
     encode: Callable[[int], bytes]
 
 
-def data_topics(recording: SimulatedRecording, encoder: MessageEncoder) -> list[Topic]:
+def data_topics(
+    recording: SimulatedRecording, encoder: MessageEncoder, imu: SimulatedImu
+) -> list[Topic]:
     """List what the sensor sends: events in batches of 10 ms, calibration and IMU."""
-    camera, events, truth = recording.camera, recording.events, recording.truth
-    rng = np.random.default_rng(recording.seed)
+    camera, events = recording.camera, recording.events
 
     def encode_events(end: int) -> bytes:
         first, last = np.searchsorted(events.t, [end - _EVENT_BATCH, end])
         return encoder.events(end - _EVENT_BATCH, camera, events[first:last])
 
     def encode_imu(t: int) -> bytes:
-        _, angular = truth.twist(t)
-        rotation = truth.pose(t)[:3, :3]
-        sample = ImuSample(
-            angular + rng.normal(0, _GYRO_NOISE, 3),
-            rotation.T @ (truth.acceleration(t) - _GRAVITY) + rng.normal(0, _FORCE_NOISE, 3),
-        )
-        return encoder.imu(t, sample)
+        k = int(np.searchsorted(imu.stamps, t))
+        return encoder.imu(t, ImuSample(imu.angular[k], imu.force[k]))
 
     start, end = recording.t_start, recording.t_end
     batch_ends = range(start + _EVENT_BATCH, end + _EVENT_BATCH, _EVENT_BATCH)
@@ -62,7 +55,7 @@ def data_topics(recording: SimulatedRecording, encoder: MessageEncoder) -> list[
             range(start, end, _INFO_PERIOD),
             lambda t: encoder.camera_info(t, camera),
         ),
-        Topic("/davis/left/imu", msg.IMU, range(start, end, _IMU_PERIOD), encode_imu),
+        Topic("/davis/left/imu", msg.IMU, imu.stamps.tolist(), encode_imu),
     ]
 
 

@@ -20,6 +20,7 @@ IMAGE = "sensor_msgs/msg/Image"
 POSE = "geometry_msgs/msg/PoseStamped"
 
 OPTICAL_FRAME = "davis_left_optical"
+IMU_FRAME = "davis_left_imu"
 WORLD_FRAME = "world"
 
 _EVENT_MSG = "uint16 x\nuint16 y\n{time} ts\nbool polarity\n"
@@ -39,7 +40,7 @@ _CDR_RECORD = np.dtype(
 
 @dataclass(frozen=True)
 class ImuSample:
-    """Angular velocity (3,) rad/s and specific force (3,) m/s^2 in the optical frame."""
+    """Angular velocity (3,) rad/s and specific force (3,) m/s^2 in the IMU's axes."""
 
     angular: NDArray[np.float64]
     force: NDArray[np.float64]
@@ -93,7 +94,7 @@ class MessageEncoder:
         no_orientation = np.zeros(9)
         no_orientation[0] = -1
         message = self._types[IMU](
-            self._header(stamp, OPTICAL_FRAME),
+            self._header(stamp, IMU_FRAME),
             quaternion,
             no_orientation,
             self._vector("Vector3", sample.angular),

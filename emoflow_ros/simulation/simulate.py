@@ -3,11 +3,15 @@
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from emoflow_ros.cli import run
+from emoflow_ros.core.options import options_of, replace_options
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.cameras import LENSES, davis346
 from emoflow_ros.simulation.factors import draw_factors, factor_specs
+from emoflow_ros.simulation.imu import PERFECT, ImuModel
 from emoflow_ros.simulation.random_recording import simulate_random
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.scenes import SCENES
@@ -104,7 +108,34 @@ def _parser() -> argparse.ArgumentParser:
         help="time of the first event in seconds since 1970 (default: 1500000000)",
     )
     add("--force", action="store_true", help="overwrite what is there")
+    _add_imu_options(parser)
     return parser
+
+
+def _add_imu_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "IMU", "in the camera's centre; each axis draws its bias and its scale"
+    )
+    for info in options_of(ImuModel()):
+        flag = "--imu-" + info.name.replace("_", "-")
+        help_text = f"{info.description} (default: {info.value:g})"
+        group.add_argument(flag, type=float, metavar="X", help=help_text)
+    group.add_argument(
+        "--imu-perfect", action="store_true", help="no noise, bias or limit but those given"
+    )
+
+
+def _imu_model(args: argparse.Namespace) -> ImuModel:
+    """Read the --imu options.
+
+    Raises:
+        InputError: one of them is out of range.
+    """
+    values = dict(PERFECT) if args.imu_perfect else {}
+    names = [info.name for info in options_of(ImuModel())]
+    given = {name: getattr(args, f"imu_{name}") for name in names}
+    values |= {name: value for name, value in given.items() if value is not None}
+    return replace_options(ImuModel(), values, "--imu-")
 
 
 def _simulate(args: argparse.Namespace) -> None:
@@ -115,6 +146,7 @@ def _simulate(args: argparse.Namespace) -> None:
         raise InputError("--name", f"'{name}' is a path", "give a name, and the folder with --out")
     if not 0 <= args.start_time <= _LAST_START:
         raise InputError("--start-time", f"{args.start_time} s", f"give 0 to {_LAST_START}")
+    _imu_model(args)  # refused before anything is simulated
     if args.scene == RANDOM:
         _simulate_random(args, name)
     else:
@@ -181,6 +213,8 @@ def _assignments(words: list[str]) -> dict[str, str]:
 
 
 def _write(args: argparse.Namespace, recording: SimulatedRecording, paths: OutputPaths) -> None:
-    write_recording(recording, paths, args.format, progress=True)
+    imu = write_recording(recording, paths, args.format, imu=_imu_model(args), progress=True)
     rate = len(recording.events) / args.duration / 1e6
     print(f"{len(recording.events)} events ({rate:.2f} Mev/s)")
+    bias = ", ".join(f"{value:.2f}" for value in np.degrees(imu.bias))
+    print(f"{len(imu.stamps)} readings of the IMU, bias of its gyro ({bias}) deg/s")

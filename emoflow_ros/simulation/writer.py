@@ -17,10 +17,12 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.bags import TRUTH_PERIOD, data_topics, truth_topics, write_bag
 from emoflow_ros.simulation.factors import Factors
+from emoflow_ros.simulation.imu import ImuModel, SimulatedImu, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder, ros_distortion
 from emoflow_ros.simulation.recording import SimulatedRecording
 
 FORMATS = ("rosbag1", "rosbag2")
+_IMU = ImuModel()
 
 
 @dataclass(frozen=True)
@@ -88,22 +90,35 @@ class OutputPaths:
 
 
 def write_recording(
-    recording: SimulatedRecording, paths: OutputPaths, bag_format: str, *, progress: bool = False
-) -> None:
+    recording: SimulatedRecording,
+    paths: OutputPaths,
+    bag_format: str,
+    *,
+    imu: ImuModel = _IMU,
+    progress: bool = False,
+) -> SimulatedImu:
     """Write all parts, over those of an earlier run.
 
     Args:
         recording: what was simulated.
         paths: where to.
         bag_format: one of FORMATS.
+        imu: how good the IMU is.
         progress: whether to show bars.
+
+    Returns:
+        What the IMU measured.
     """
     paths.remove()
+    readings = simulate_imu(
+        recording.truth, recording.t_start, recording.t_end, imu, recording.seed
+    )
     encoder = MessageEncoder(ros1=bag_format == "rosbag1")
     _write_calibration(paths.calibration, recording.camera)
-    write_bag(paths.data, encoder, data_topics(recording, encoder), progress=progress)
+    write_bag(paths.data, encoder, data_topics(recording, encoder, readings), progress=progress)
     write_bag(paths.truth, encoder, truth_topics(recording, encoder), progress=progress)
     _write_flow(paths.flow, recording, progress)
+    return readings
 
 
 def write_factors(path: Path, factors: Factors) -> None:

@@ -10,6 +10,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.factors import draw_factors
+from emoflow_ros.simulation.imu import PERFECT, ImuModel
 from emoflow_ros.simulation.messages import EVENT_ARRAY, OPTICAL_FRAME, MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.sensor import SensorModel
@@ -35,7 +36,7 @@ def quiet() -> SimulatedRecording:
 @pytest.fixture(scope="module", params=FORMATS)
 def written(request, quiet, tmp_path_factory) -> OutputPaths:
     paths = OutputPaths.within(tmp_path_factory.mktemp("out"), "shaky", request.param)
-    write_recording(quiet, paths, request.param)
+    write_recording(quiet, paths, request.param, imu=ImuModel(**PERFECT))
     return paths
 
 
@@ -113,10 +114,10 @@ def test_imu_measures_rotation_and_gravity(quiet, written) -> None:
     for t, message in messages[::20]:
         _, angular = quiet.truth.twist(t)
         gyro, force = message.angular_velocity, message.linear_acceleration
-        np.testing.assert_allclose((gyro.x, gyro.y, gyro.z), angular, atol=0.02)
+        np.testing.assert_allclose((gyro.x, gyro.y, gyro.z), angular, atol=1e-9)
         # At rest an accelerometer shows 9.81 m/s^2 upwards, which is -y.
         world = quiet.truth.pose(t)[:3, :3] @ (force.x, force.y, force.z)
-        np.testing.assert_allclose(world - quiet.truth.acceleration(t), (0, -9.81, 0), atol=0.2)
+        np.testing.assert_allclose(world - quiet.truth.acceleration(t), (0, -9.81, 0), atol=1e-6)
 
 
 def test_truth_bag_holds_rectified_depth_and_pose(quiet, written) -> None:
@@ -172,7 +173,9 @@ def test_executable_writes_refuses_and_overwrites(monkeypatch, capsys, tmp_path)
     assert command(monkeypatch, *options) == 0
     names = {"a_data.bag", "a_gt.bag", "a_gt_flow_dist.npz", "a_calib.yaml"}
     assert {path.name for path in tmp_path.iterdir()} == names
-    assert "events (" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "events (" in printed
+    assert "20 readings of the IMU, bias of its gyro (" in printed
     before = (tmp_path / "a_data.bag").read_bytes()
 
     assert command(monkeypatch, *options) == 2
@@ -202,6 +205,7 @@ def test_executable_overwrites_bags_but_no_other_folder(monkeypatch, capsys, tmp
         (("--seed", "-1"), "--seed: -1; give"),
         (("--name", "a/b"), "--name: 'a/b' is a path; give"),
         (("--start-time", "-5"), "--start-time: -5.0 s; give"),
+        (("--imu-noise", "-1"), "--imu-noise: -1.0 is out of range; use 0 to 100"),
         (("--threshold", "0"), "sensor.threshold: on 0.0, off 0.0; give"),
     ],
 )

@@ -1,0 +1,247 @@
+"""A gyro beside an estimator: its measurement of a window's rotation, its bias and its faults."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.gyro_bias import BiasFilter
+from emoflow_ros.core.gyro_config import GyroConfig
+from emoflow_ros.core.gyro_faults import (
+    FreezeWatch,
+    GyroFault,
+    GyroState,
+    GyroStatus,
+    find_fault,
+)
+from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_shape import Shape, fit_shape
+
+Array = NDArray[np.float64]
+
+_NS_PER_S = 1e9
+_CLOCK_S = 0.5e-3  # what the offset between the clocks is not known by
+# What events and gyro differ by although both are right: calibration, the choice of the window.
+_FLOOR = math.radians(0.3)  # rad/s
+_RELATIVE_FLOOR = 0.03
+_GROSS = 0.12  # part of the angular velocity that does not count as disagreement
+_DISAGREE = 16.3  # squared distance in standard deviations that 0.1 % exceed
+_TELLING = 3.0  # standard deviations of w from which agreement says something
+_SHARE_REJECTED = 0.6
+_SHARE_ACCEPTED = 0.3
+_MEMORY_S = 2.0  # of the share of windows that disagree ...
+_FIRST_MEMORY_S = 0.4  # ... and of a gyro that has not agreed with them for long enough
+_CONFIRMED_S = 2.0
+_TRIAL_S = 2.0  # of agreement after which a rejected gyro is used again
+_RETRY_S = 3.0  # of disagreement after which a rejected gyro's bias is doubted once more
+
+
+@dataclass(frozen=True)
+class GyroMeasurement:
+    """The angular velocity of an interval, without the bias as far as that is known.
+
+    Over s = 0 at the interval's start to 1 at its end, w(s) = c[0] + c[1] (2s - 1) +
+    c[2] (6s^2 - 6s + 1).
+
+    Attributes:
+        t_start, t_end: the interval, ns.
+        coefficients: c, (3, 3) rad/s; a row for each polynomial, a column for each axis.
+        covariances: (3, 3, 3) of each row; that of the bias is in the first one.
+    """
+
+    t_start: int
+    t_end: int
+    coefficients: Array
+    covariances: Array
+
+    @property
+    def w(self) -> Array:
+        """Mean angular velocity (3,), rad/s."""
+        return self.coefficients[0]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of the mean: noise, bias, scale, mounting, clock and gaps."""
+        return self.covariances[0]
+
+    @property
+    def middle(self) -> Array:
+        """Angular velocity (3,) in the middle of the interval, rad/s."""
+        return self.coefficients[0] - 0.5 * self.coefficients[2]
+
+    @property
+    def middle_covariance(self) -> Array:
+        """Covariance (3, 3) of the angular velocity in the middle."""
+        covariance: Array = self.covariances[0] + 0.25 * self.covariances[2]
+        return covariance
+
+    def at(self, s: float) -> Array:
+        """Angular velocity (3,) at s in [0, 1] of the interval, rad/s."""
+        w: Array = np.array([1.0, 2 * s - 1, 6 * s * (s - 1) + 1]) @ self.coefficients
+        return w
+
+
+class Gyro:
+    """One gyro beside one estimator.
+
+    It depends on nothing but the windows and readings so far, in their order. For each window call
+    `measure`, and then, where the events alone tell an angular velocity, `learn`.
+
+    A gyro that disagrees with the events grossly in most windows of the last two seconds is
+    rejected; of the last 0.4 s, where it has not agreed for two seconds before. It is compared
+    further on, with less trust in its bias, and used again after two seconds in which the windows
+    that turn agree.
+
+    Args:
+        config: how good the gyro is.
+
+    Attributes:
+        status: of the window that was measured last.
+        disagreement: share of the recent windows in which gyro and events disagree.
+    """
+
+    def __init__(self, config: GyroConfig) -> None:
+        self.config = config
+        self.status = GyroStatus()
+        self.disagreement = 0.0
+        self._bias = BiasFilter(config)
+        self._freeze = FreezeWatch()
+        self._t: int | None = None  # end of the last window, ns
+        self._last: GyroMeasurement | None = None
+        self._own: Array = np.zeros((3, 3))  # covariance of its middle without the bias
+        self._confirmed = False
+        self._rejected = False
+        self._agreed_s = 0.0
+        self._disagreed_s = 0.0
+        self._compared: int | None = None
+
+    @property
+    def bias(self) -> Array:
+        """The bias (3,) as it is known, rad/s."""
+        return self._bias.mean.copy()
+
+    @property
+    def bias_covariance(self) -> Array:
+        """Its covariance (3, 3)."""
+        return self._bias.covariance.copy()
+
+    def measure(
+        self, t_start: int, t_end: int, readings: GyroReadings | None
+    ) -> GyroMeasurement | None:
+        """Integrate the readings over an interval (ns); None if they cannot be used.
+
+        Args:
+            t_start, t_end: of the window, or of the part of it that is estimated.
+            readings: those of the window; None where there is no gyro at all.
+        """
+        self._last = None
+        self._pass_time(t_end)
+        if readings is None:
+            self.status = GyroStatus()
+            return None
+        covering = readings.covering(t_start, t_end)
+        self._freeze.take(readings.covering(t_start, t_end, 0))
+        fault = find_fault(covering, t_start, t_end, math.radians(self.config.range_deg_s))
+        if fault is None and self._freeze.until is not None and self._freeze.until > t_start:
+            fault = GyroFault.FROZEN
+        if fault is not None:
+            self.status = GyroStatus(GyroState.REJECTED, fault)
+            return None
+        shape = fit_shape(covering, t_start, t_end)
+        own = self._errors(shape, (t_end - t_start) / _NS_PER_S)
+        coefficients, covariances = shape.coefficients.copy(), own.copy()
+        coefficients[0] -= self._bias.mean
+        covariances[0] += self._bias.covariance
+        self._last = GyroMeasurement(t_start, t_end, coefficients, covariances)
+        self._own = own[0] + 0.25 * own[2]
+        if self._rejected:
+            self.status = self._disagreeing()
+            return None
+        self.status = GyroStatus(GyroState.USED)
+        return self._last
+
+    def learn(self, w_events: Array, covariance_events: Array) -> None:
+        """Compare the window that was measured last with what its events tell, without the gyro.
+
+        Args:
+            w_events: (3,) rad/s, in the middle of the interval that was measured.
+            covariance_events: (3, 3) of it.
+        """
+        last = self._last
+        if last is None or not (
+            np.isfinite(w_events).all() and np.isfinite(covariance_events).all()
+        ):
+            return
+        self._last = None
+        speed = max(float(np.linalg.norm(last.middle)), float(np.linalg.norm(w_events)))
+        known = covariance_events + self._own + _FLOOR**2 * np.eye(3)
+        self._judge(last.middle - w_events, known, speed, last.t_end)
+        self._bias.update(
+            last.middle + self._bias.mean - w_events,
+            known + (_RELATIVE_FLOOR * speed) ** 2 * np.eye(3),
+            (last.t_end - last.t_start) / _NS_PER_S,
+        )
+
+    def _pass_time(self, t_end: int) -> None:
+        """Go on to a window; one that ends earlier is of another recording, or a loop of this."""
+        if self._t is not None and t_end < self._t:
+            self._freeze = FreezeWatch()
+            self._compared = None
+        elif self._t is not None:
+            self._bias.advance((t_end - self._t) / _NS_PER_S)
+        self._t = t_end
+
+    def _errors(self, shape: Shape, duration: float) -> Array:
+        """Covariances (3, 3, 3) of the coefficients without that of the bias."""
+        config = self.config
+        noise = math.radians(config.noise) ** 2 / duration
+        change = 2 * shape.coefficients[1] / duration
+        turned = math.radians(config.rotation_error_deg) ** 2
+        covariances = np.empty((3, 3, 3))
+        for k, row in enumerate(shape.coefficients):
+            covariances[k] = (
+                ((2 * k + 1) * (noise + shape.gap_variance)) * np.eye(3)
+                + np.diag((config.scale_error * row) ** 2)
+                + turned * (row @ row * np.eye(3) - np.outer(row, row))
+            )
+        covariances[0] += _CLOCK_S**2 * np.outer(change, change)
+        return covariances
+
+    def _judge(self, apart: Array, known: Array, speed: float, t: int) -> None:
+        """Note whether a window agrees, and reject or accept the gyro by the recent windows."""
+        spread = known + self._bias.covariance
+        gross = spread + (_GROSS * speed) ** 2 * np.eye(3)
+        agrees = float(apart @ np.linalg.solve(gross, apart)) < _DISAGREE
+        telling = speed > _TELLING * math.sqrt(float(np.trace(spread)))
+        if agrees and not telling:
+            return
+        seconds = 0.0 if self._compared is None else min((t - self._compared) / _NS_PER_S, 0.2)
+        self._compared = t
+        memory = _MEMORY_S if self._confirmed and not self._rejected else _FIRST_MEMORY_S
+        share = 1 - math.exp(-seconds / memory)
+        self.disagreement += share * ((not agrees) - self.disagreement)
+        if self._rejected:
+            self._try_again(agrees, seconds)
+        elif self.disagreement > _SHARE_REJECTED:
+            self._rejected, self._agreed_s, self._disagreed_s = True, 0.0, 0.0
+            self._bias.doubt()
+            self.status = self._disagreeing()
+        elif agrees:
+            self._agreed_s += seconds
+            self._confirmed |= self._agreed_s >= _CONFIRMED_S
+
+    def _try_again(self, agrees: bool, seconds: float) -> None:
+        """Take a rejected gyro back when it agrees, doubt its bias while it does not."""
+        self._agreed_s = self._agreed_s + seconds if agrees else 0.0
+        self._disagreed_s = 0.0 if agrees else self._disagreed_s + seconds
+        if self._disagreed_s > _RETRY_S:
+            self._bias.doubt()
+            self._disagreed_s = 0.0
+        if self._agreed_s >= _TRIAL_S and self.disagreement < _SHARE_ACCEPTED:
+            self._rejected = False
+
+    def _disagreeing(self) -> GyroStatus:
+        share = round(100 * self.disagreement)
+        reason = f"{GyroFault.DISAGREES} in {share} % of the recent windows"
+        return GyroStatus(GyroState.REJECTED, reason)

@@ -1,0 +1,106 @@
+"""What can be wrong with a gyro's readings, and whether they are used."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.gyro_readings import REACH_NS, GyroReadings
+
+_FROZEN_NS = 50_000_000
+_FROZEN_READINGS = 10
+_AT_RANGE = 0.99  # of the range that counts as being at it
+
+
+class GyroFault(StrEnum):
+    """Why readings cannot be used."""
+
+    SILENT = "no readings"
+    LATE = "readings end before the window"
+    GAP = "a gap in the readings' time"
+    NOT_FINITE = "readings that are not finite"
+    SATURATED = "readings at the end of the range"
+    FROZEN = "readings that do not change"
+    DISAGREES = "disagrees with the events"
+
+
+class GyroState(StrEnum):
+    """Whether the gyro took part in an estimate."""
+
+    USED = "used"
+    NONE = "none"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True)
+class GyroStatus:
+    """The state of the gyro, and why it is not used."""
+
+    state: GyroState = GyroState.NONE
+    reason: str = ""
+
+    def __str__(self) -> str:
+        """For example `rejected (no readings)`."""
+        return f"{self.state} ({self.reason})" if self.reason else str(self.state)
+
+
+def find_fault(readings: GyroReadings, t_start: int, t_end: int, limit: float) -> GyroFault | None:
+    """Look at the readings of an interval by themselves.
+
+    Args:
+        readings: those that cover the interval.
+        t_start, t_end: ns.
+        limit: the gyro's range in rad/s; 0 if it is not known.
+    """
+    if not len(readings):
+        return GyroFault.SILENT
+    if t_end - int(readings.t[-1]) > REACH_NS:
+        return GyroFault.LATE
+    steps = np.diff(readings.t, prepend=min(t_start, int(readings.t[0])))
+    if steps.max() > REACH_NS or (steps[1:] <= 0).any():
+        return GyroFault.GAP
+    if not np.isfinite(readings.w).all():
+        return GyroFault.NOT_FINITE
+    if limit > 0 and np.abs(readings.w).max() >= _AT_RANGE * limit:
+        return GyroFault.SATURATED
+    return None
+
+
+class FreezeWatch:
+    """Notices a gyro that repeats one reading: ten times and for 50 ms or more.
+
+    A gyro's noise changes every reading, also of a camera at rest.
+
+    Attributes:
+        until: time of the last reading (ns) that is known to be frozen; None if none was.
+    """
+
+    def __init__(self) -> None:
+        self.until: int | None = None
+        self._seen: int | None = None
+        self._value: NDArray[np.float64] = np.full(3, np.nan)
+        self._since = 0
+        self._count = 0
+
+    def take(self, readings: GyroReadings) -> None:
+        """Look at the readings that have not been looked at before."""
+        new = slice(0, None)
+        if self._seen is not None:
+            new = slice(int(np.searchsorted(readings.t, self._seen, "right")), None)
+        t, w = readings.t[new], readings.w[new]
+        if not len(t):
+            return
+        changes = (np.concatenate([self._value[None], w[:-1]]) != w).any(axis=1)
+        first = np.flatnonzero(changes)
+        # Runs of equal readings; the first may continue the one that is under way.
+        bounds = [0, *first[first > 0].tolist(), len(t)]
+        for k, (begin, end) in enumerate(pairwise(bounds)):
+            if k > 0 or changes[0]:
+                self._since, self._count = int(t[begin]), 0
+            self._count += end - begin
+            last = int(t[end - 1])
+            if self._count >= _FROZEN_READINGS and last - self._since >= _FROZEN_NS:
+                self.until = last
+        self._value, self._seen = w[-1], int(t[-1])

@@ -1,0 +1,59 @@
+"""Readings of a gyro, on the events' clock and in the camera's optical frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Further from a reading than this the angular velocity is not known, ns.
+REACH_NS = 30_000_000
+
+
+@dataclass(frozen=True)
+class GyroReadings:
+    """Angular velocities as a gyro measures them: with its bias, and perhaps not finite.
+
+    Attributes:
+        t: (N,) int64 ns on the events' clock, increasing.
+        w: (N, 3) rad/s in the camera's optical frame.
+    """
+
+    t: NDArray[np.int64]
+    w: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @classmethod
+    def mounted(
+        cls,
+        t: NDArray[np.int64],
+        w: NDArray[np.float64],
+        rotation: NDArray[np.float64],
+        offset_ns: int = 0,
+    ) -> "GyroReadings":
+        """Bring readings into the camera's frame and onto its clock.
+
+        A reading that is no later than one before it is left out.
+
+        Args:
+            t: (N,) int64 ns, stamps of the gyro.
+            w: (N, 3) rad/s in the gyro's axes.
+            rotation: (3, 3) from the gyro's axes to the optical frame.
+            offset_ns: that is added to the stamps.
+        """
+        later = np.ones(len(t), np.bool_)
+        later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+        turned: NDArray[np.float64] = w[later] @ rotation.T
+        return cls(t[later] + offset_ns, turned)
+
+    def covering(self, t_start: int, t_end: int, reach_ns: int = REACH_NS) -> "GyroReadings":
+        """Return the readings of an interval (ns) and the next one on either side.
+
+        Those beside it are left out if they are further from it than `reach_ns`.
+        """
+        first = max(0, int(np.searchsorted(self.t, t_start, "right")) - 1)
+        last = int(np.searchsorted(self.t, t_end)) + 1
+        near = self.t[first:last]
+        inside = (near >= t_start - reach_ns) & (near <= t_end + reach_ns)
+        return GyroReadings(near[inside], self.w[first:last][inside])

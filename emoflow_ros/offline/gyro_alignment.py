@@ -1,0 +1,193 @@
+"""Rotation, scale, bias and time offset that bring a gyro to the angular velocity of the events."""
+
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+_COARSE_NS = 8_000_000
+_FINE_NS = 500_000
+_REACH_NS = 500_000_000
+_MOST_WINDOWS = 0.6
+_REPEATED = 3  # windows overlap: so many tell as much as one that is alone
+_NOISE = np.radians(1.0)  # rad/s, of the events' estimates
+# What gyros have.
+_USUAL_BIAS = np.radians(5.0)  # rad/s
+_USUAL_LOG_SCALE = 0.2
+_USUAL_OFFSET_NS = 100_000_000
+_DEG = np.pi / 180
+_ROUNDS = 8
+_INLIER = 3.0  # robust standard deviations beyond which a window counts less
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """events = rotation @ (gyro - bias) / scale, with the gyro read `offset_ns` earlier.
+
+    Attributes:
+        rotation: (3, 3) from the gyro's axes to the optical frame.
+        scale: of the gyro; 1 where its units are right.
+        bias: (3,) of the gyro in its own axes and units.
+        offset_ns: what is to be added to the gyro's stamps.
+        residual: root mean square of what is left, outliers counting less, rad/s per axis.
+        spread: (3,) root of the eigenvalues of the events' covariance over the windows, largest
+            first, rad/s: how far the camera turned about its three main axes.
+        windows: how many were compared.
+    """
+
+    rotation: Array
+    scale: float
+    bias: Array
+    offset_ns: int
+    residual: float
+    spread: Array
+    windows: int
+
+
+class GyroMeans:
+    """Means of a gyro's readings over intervals, fast for many intervals.
+
+    Args:
+        t: (N,) int64 ns, increasing.
+        w: (N, 3).
+    """
+
+    def __init__(self, t: Times, w: Array) -> None:
+        self._t = t
+        seconds = np.diff(t)[:, None] / 1e9
+        steps = 0.5 * (w[1:] + w[:-1]) * seconds
+        self._integral = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+    def over(self, starts: Times, ends: Times) -> Array:
+        """Mean (M, 3) over each interval; NaN where readings do not cover it."""
+        origin = int(self._t[0])
+        own = (self._t - origin).astype(np.float64)
+        means = np.full((len(starts), 3), np.nan)
+        inside = (starts >= self._t[0]) & (ends <= self._t[-1])
+        a = (starts[inside] - origin).astype(np.float64)
+        b = (ends[inside] - origin).astype(np.float64)
+        for axis in range(3):
+            area = np.interp(b, own, self._integral[:, axis])
+            area -= np.interp(a, own, self._integral[:, axis])
+            means[inside, axis] = area / ((b - a) / 1e9)
+        return means
+
+
+def align(means: GyroMeans, starts: Times, ends: Times, events: Array) -> Alignment | None:
+    """Find the alignment that fits best, from half a second early to half a second late.
+
+    Args:
+        means: of the gyro.
+        starts, ends: (M,) int64 ns, intervals.
+        events: (M, 3) rad/s, angular velocity of the events over each.
+
+    Returns:
+        None where fewer than 8 intervals, or 60 % of them, can be compared.
+    """
+    best: Alignment | None = None
+    for step, reach in ((_COARSE_NS, _REACH_NS), (_FINE_NS, 2 * _COARSE_NS)):
+        centre = best.offset_ns if best else 0
+        for shift in range(-reach, reach + 1, step):
+            found = fit(means.over(starts - centre - shift, ends - centre - shift), events)
+            # An offset that leaves few windows to compare would fit them well.
+            if found is None or found.windows < _MOST_WINDOWS * len(starts):
+                continue
+            found = replace(found, offset_ns=centre + shift)
+            if best is None or _misfit(found) < _misfit(best):
+                best = found
+    return best
+
+
+def fit(gyro: Array, events: Array) -> Alignment | None:
+    """Fit rotation, scale and bias to pairs (M, 3) robustly; None with fewer than 8 pairs."""
+    known = np.isfinite(gyro).all(axis=1) & np.isfinite(events).all(axis=1)
+    gyro, events = gyro[known], events[known]
+    if len(gyro) < 8:
+        return None
+    weights = np.ones(len(gyro))
+    for _ in range(_ROUNDS):
+        rotation, scale, bias, left = _weighted_fit(gyro, events, weights)
+        spread = 1.4826 * float(np.median(np.linalg.norm(left, axis=1))) / np.sqrt(3) + 1e-9
+        weights = 1 / (1 + (left**2).sum(axis=1) / (_INLIER * spread) ** 2) ** 2
+    centred = events - np.median(events, axis=0)
+    eigenvalues = np.linalg.eigvalsh(np.cov(centred.T, aweights=weights))[::-1]
+    turned = np.sqrt(np.maximum(eigenvalues, 0))
+    residual = float(np.sqrt((weights @ (left**2).sum(axis=1)) / weights.sum() / 3))
+    return Alignment(rotation, scale, bias, 0, residual, turned, len(gyro))
+
+
+def nearest_axes(rotation: Array) -> Array:
+    """Return the rotation by right angles (3, 3) that is nearest."""
+    candidates = [c for c in _axes() if np.linalg.det(c) > 0]
+    return max(candidates, key=lambda c: float((c * rotation).sum()))
+
+
+def mirrored_axes(gyro: Array, events: Array, rotation: Array) -> Array | None:
+    """Return mirrored axes (3, 3) if they explain pairs (M, 3) much better than a rotation does.
+
+    A driver that swaps two axes, or the sign of one, leaves axes that no mounting can make.
+    """
+    known = np.isfinite(gyro).all(axis=1) & np.isfinite(events).all(axis=1)
+    gyro = gyro[known] - np.median(gyro[known], axis=0)
+    events = events[known] - np.median(events[known], axis=0)
+
+    def left(matrix: Array) -> float:
+        turned = gyro @ matrix.T
+        scale = (turned * events).sum() / max((turned**2).sum(), 1e-12)
+        return float(np.median(np.linalg.norm(events - max(scale, 0) * turned, axis=1)))
+
+    best = min((c for c in _axes() if np.linalg.det(c) < 0), key=left)
+    return best if left(best) < 0.6 * left(rotation) else None
+
+
+def axis_names(matrix: Array) -> str:
+    """Name the gyro's axes that the camera's x, y and z are, for example `+x, -z, +y`."""
+    names = []
+    for row in matrix:
+        k = int(np.abs(row).argmax())
+        names.append(f"{'+' if row[k] > 0 else '-'}{'xyz'[k]}")
+    return ", ".join(names)
+
+
+def _weighted_fit(gyro: Array, events: Array, weights: Array) -> tuple[Array, float, Array, Array]:
+    share = weights / weights.sum()
+    mean_gyro, mean_events = share @ gyro, share @ events
+    from_gyro, from_events = gyro - mean_gyro, events - mean_events
+    cross = (share[:, None] * from_events).T @ from_gyro
+    u, singular, vt = np.linalg.svd(cross)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * signs) @ vt
+    power = float(share @ (from_gyro**2).sum(axis=1))
+    gain = max(float(singular @ signs) / max(power, 1e-18), 1e-9)
+    scale = 1 / gain
+    bias = mean_gyro - scale * rotation.T @ mean_events
+    left = events - gain * (gyro - bias) @ rotation.T
+    return rotation, scale, bias, left
+
+
+def _misfit(found: Alignment) -> float:
+    """Minus the logarithm of a probability: of what is left, and of such a gyro.
+
+    A short recording can be fitted by a wild bias, scale and offset.
+    """
+    of_data = 3 * found.windows / _REPEATED * np.log(found.residual**2 + _NOISE**2) / 2
+    log_scale = min(abs(np.log(found.scale * unit)) for unit in (1.0, _DEG, 1 / _DEG))
+    of_gyro = (
+        float(found.bias @ found.bias) / (found.scale * _USUAL_BIAS) ** 2
+        + (log_scale / _USUAL_LOG_SCALE) ** 2
+        + (found.offset_ns / _USUAL_OFFSET_NS) ** 2
+    )
+    return float(of_data + of_gyro / 2)
+
+
+def _axes() -> list[Array]:
+    """All 48 matrices of permuted and mirrored axes."""
+    return [
+        np.diag(signs) @ np.eye(3)[list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
