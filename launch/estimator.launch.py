@@ -9,6 +9,7 @@ from typing import Any
 ARGUMENTS = {
     "events": ("events", "topic of the event messages; alone in the graph it is found"),
     "camera_info": ("camera_info", "calibration topic; default: the one beside the events"),
+    "imu": ("", "topic of an IMU whose gyro is to be used, as imu.use=auto; empty: none is"),
     "calibration_file": ("", "camera_info YAML or ECD calib.txt instead of the topic"),
     "profile": ("realtime", "configuration: the name of a file in config/"),
     "params_file": (
@@ -60,7 +61,7 @@ def _start(context: Any) -> list[Any]:
             parameters=parameters,
             remappings=[
                 (name, value[name])
-                for name in ("events", "camera_info")
+                for name in ("events", "camera_info", "imu")
                 if value[name] != ARGUMENTS[name][0]
             ],
             output="screen",
@@ -92,6 +93,8 @@ def _parameters(value: dict[str, str]) -> list[Any]:
     }
     if value["speed"]:
         arguments |= {"scale.source": "parameter", "scale.speed": number("speed", value["speed"])}
+    if value["imu"]:
+        arguments["imu.use"] = "auto"
     sources: list[Any] = [arguments]
     if value["params_file"]:
         sources.append(parameter_file(value["params_file"], _CONFIG / "sensors"))

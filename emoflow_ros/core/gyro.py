@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.gyro_axes import MistakeGuess
 from emoflow_ros.core.gyro_bias import BiasFilter
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_faults import (
@@ -110,6 +111,7 @@ class Gyro:
         self._t: int | None = None  # end of the last window, ns
         self._last: GyroMeasurement | None = None
         self._own: Array = np.zeros((3, 3))  # covariance of its middle without the bias
+        self._guess = MistakeGuess()
         self._confirmed = False
         self._rejected = False
         self._agreed_s = 0.0
@@ -176,6 +178,7 @@ class Gyro:
         self._last = None
         speed = max(float(np.linalg.norm(last.middle)), float(np.linalg.norm(w_events)))
         known = covariance_events + self._own + _FLOOR**2 * np.eye(3)
+        self._guess.add(last.middle + self._bias.mean, w_events)
         self._judge(last.middle - w_events, known, speed, last.t_end)
         self._bias.update(
             last.middle + self._bias.mean - w_events,
@@ -242,6 +245,6 @@ class Gyro:
             self._rejected = False
 
     def _disagreeing(self) -> GyroStatus:
-        share = round(100 * self.disagreement)
-        reason = f"{GyroFault.DISAGREES} in {share} % of the recent windows"
-        return GyroStatus(GyroState.REJECTED, reason)
+        reason = f"{GyroFault.DISAGREES}: {round(100 * self.disagreement)} % of windows"
+        guess = self._guess.in_words()
+        return GyroStatus(GyroState.REJECTED, f"{reason}, {guess}" if guess else reason)

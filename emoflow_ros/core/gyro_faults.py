@@ -23,7 +23,7 @@ class GyroFault(StrEnum):
     NOT_FINITE = "readings that are not finite"
     SATURATED = "readings at the end of the range"
     FROZEN = "readings that do not change"
-    DISAGREES = "disagrees with the events"
+    DISAGREES = "gyro and events disagree"
 
 
 class GyroState(StrEnum):

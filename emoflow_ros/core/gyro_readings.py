@@ -44,8 +44,10 @@ class GyroReadings:
         """
         later = np.ones(len(t), np.bool_)
         later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
-        turned: NDArray[np.float64] = w[later] @ rotation.T
-        return cls(t[later] + offset_ns, turned)
+        kept = w[later]
+        # Not a matrix product, whose rounding depends on how many readings there are.
+        turned = sum(kept[:, k, None] * rotation[None, :, k] for k in range(3))
+        return cls(t[later] + offset_ns, np.asarray(turned, np.float64))
 
     def covering(self, t_start: int, t_end: int, reach_ns: int = REACH_NS) -> "GyroReadings":
         """Return the readings of an interval (ns) and the next one on either side.

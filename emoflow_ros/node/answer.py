@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.gyro_faults import GyroState, GyroStatus
 from emoflow_ros.core.twist import Twist
 from emoflow_ros.node.channel import Arrays
 from emoflow_ros.node.tasks import Result, Task
@@ -20,6 +21,7 @@ def pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Array
         "status": estimate.status,
         "model": estimate.model,
         "quality": asdict(estimate.quality),
+        "gyro": [estimate.gyro.state, estimate.gyro.reason],
         "times": [twist.t for twist in twists],
     }
     arrays: Arrays = {
@@ -33,6 +35,7 @@ def pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Array
 
 def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
     """Build a task's result from its answer; what `pack` does not know of are pictures."""
+    state, reason = header["gyro"]
     estimate = Estimate(
         t_start=header["t_start"],
         t_end=header["t_end"],
@@ -40,6 +43,7 @@ def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
         status=Status(header["status"]),
         model=MotionModel(header["model"]),
         quality=Quality(**header["quality"]),
+        gyro=GyroStatus(GyroState(state), reason),
         linear=arrays.pop("linear"),
         angular=arrays.pop("angular"),
         covariance=arrays.pop("covariance"),

@@ -17,6 +17,7 @@ from emoflow_ros.node.calibration_path import calibration_path
 from emoflow_ros.node.discovery import EventTopic
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import camera_info_topic
+from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.parameters import Settings
 from emoflow_ros.node.statistics import Level, Report, Statistics
@@ -54,6 +55,7 @@ class Pipeline:
     Attributes:
         statistics: what is counted, and what is wrong.
         is_topic_used: whether events of the present topic have gone to the worker.
+        imu: puts the readings of a gyro beside windows; None if none is used.
 
     Raises:
         InputError: the calibration file, the device or another setting cannot be used.
@@ -92,6 +94,10 @@ class Pipeline:
         if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
             self._supervisor.check(settings.config)
         self._outputs = Outputs(node, options, self.statistics, made)
+        imu = settings.config.imu
+        self.imu: ImuSource | None = None
+        if imu.use != "off":
+            self.imu = ImuSource(node, imu, self._hand_on, self.statistics, made)
         self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def start(self) -> None:
@@ -120,6 +126,8 @@ class Pipeline:
         self._input = None
         self._epoch += 1
         self._forget_waiting()
+        if self.imu is not None:
+            self.imu.stop()
         self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def take_topic(self, topic: EventTopic) -> None:
@@ -130,6 +138,8 @@ class Pipeline:
         self._forget_waiting()
         self.is_topic_used = False
         self._topic = topic
+        if self.imu is not None:
+            self.imu.listen(topic)
         self._epoch += 1
         self._encoding = ""
         self._input = EventInput(
@@ -166,7 +176,9 @@ class Pipeline:
                 f"{self._input.jump}: the estimation starts anew",
                 throttle_duration_sec=_THROTTLE_S,
             )
-        if tasks:
+        if tasks and self.imu is not None:
+            self.imu.push(tasks)
+        elif tasks:
             self._hand_on(tasks)
 
     def take_camera_info(self, info: CameraInfo) -> None:
@@ -191,6 +203,8 @@ class Pipeline:
                 case Result() as result:
                     if self._is_recent(result.task):
                         self.statistics.add_result(result)
+                        if self.imu is not None:
+                            self.imu.judge(result.estimate)
                         self._outputs.publish(result)
                 case Loss() as loss:
                     self._report(loss)
@@ -204,6 +218,8 @@ class Pipeline:
         if self._supervisor.has_ended:
             self.statistics.set_problem("worker", Level.ERROR, _ENDED)
             self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)
+        if self.imu is not None and self._input is not None:
+            self.imu.report()
         return self.statistics.report(self._settings.node.input.silence_s, self._supervisor.pid)
 
     def _hand_on(self, tasks: list[Task]) -> None:
@@ -233,6 +249,7 @@ class Pipeline:
 
     def _forget_waiting(self) -> None:
         forgotten = len(self._waiting) + self._supervisor.queue.clear()
+        forgotten += self.imu.forget() if self.imu is not None else 0
         self._waiting.clear()
         self.statistics.counts["windows_forgotten"] += forgotten
 

@@ -37,7 +37,7 @@ _ALSO_COUNTED = (
 # Parts that have problems, first those whose problems cost most. Of the latter whatever else is as
 # bad costs more: there are estimates nevertheless.
 _PARTS = ("worker", "input", "qos", "camera", "frame")
-_MILD = ("scale", "device")
+_MILD = ("gyro", "scale", "device")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)
 
@@ -217,6 +217,7 @@ class Statistics:
             values["model"] = str(estimate.model)
             values["iterations"] = str(estimate.quality.iterations)
             values["stop_reason"] = estimate.quality.stop_reason
+            values["gyro"] = str(estimate.gyro)
         return values
 
 

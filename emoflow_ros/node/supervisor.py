@@ -175,7 +175,7 @@ class Supervisor:
                 "wishes": asdict(job.wishes),
                 "times": self._twist_times(window, job.wishes.twist_rate),
             },
-            {name: getattr(window.events, name) for name in ("x", "y", "t", "p")},
+            _arrays(window),
         )
         if header.get("fatal"):
             self._fail_over(header)
@@ -266,3 +266,11 @@ class Supervisor:
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.end()
+
+
+def _arrays(window: Window) -> Arrays:
+    """Return the columns of a window's events and of its gyro, if there is one."""
+    arrays = {name: getattr(window.events, name) for name in ("x", "y", "t", "p")}
+    if window.gyro is not None:
+        arrays |= {"gyro_t": window.gyro.t, "gyro_w": window.gyro.w}
+    return arrays

@@ -97,13 +97,22 @@ class TfFrame:
     Args:
         node: listens to tf.
         name: of the frame.
+        parameter: that asks for tf.
+        instead: what to do without it.
 
     Raises:
         InputError: tf2_ros is not installed.
     """
 
-    def __init__(self, node: Node, name: str) -> None:
-        self._tf = _import_tf()
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        parameter: str = "output.target_source",
+        instead: str = "choose parameter and give output.target_roll, output.target_pitch and "
+        "output.target_yaw",
+    ) -> None:
+        self._tf = _import_tf(parameter, instead)
         self._name = name
         self._buffer = self._tf.Buffer()
         self._listener = self._tf.TransformListener(self._buffer, node)
@@ -114,12 +123,18 @@ class TfFrame:
 
     def rotation(self, optical_frame: str, stamp: int) -> Matrix:
         """Look the rotation up."""
+        return self.between(self._name, optical_frame, stamp)
+
+    def between(self, target: str, source: str, stamp: int) -> Matrix:
+        """Rotation (3, 3) from one frame into another, at ROS time in ns; 0 is the latest.
+
+        Raises:
+            NoTransformError: it is not known.
+        """
         try:
-            found = self._buffer.lookup_transform(
-                self._name, optical_frame, Time(nanoseconds=stamp)
-            )
+            found = self._buffer.lookup_transform(target, source, Time(nanoseconds=stamp))
         except self._tf.TransformException as error:
-            reason = f"no transform from {optical_frame} to {self._name}: {error}"
+            reason = f"no transform from {source} to {target}: {error}"
             raise NoTransformError(reason) from None
         q = found.transform.rotation
         return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
@@ -129,14 +144,13 @@ class TfFrame:
         self._listener.unregister()
 
 
-def _import_tf() -> Any:
+def _import_tf(parameter: str, instead: str) -> Any:
     try:
         import tf2_ros  # not a part of every ROS: only who asks for it needs it
     except ImportError:
         raise InputError(
-            "output.target_source",
+            parameter,
             "tf needs the package tf2_ros, which is not installed",
-            "install ros-jazzy-tf2-ros-py or choose parameter and give output.target_roll, "
-            "output.target_pitch and output.target_yaw",
+            f"install ros-jazzy-tf2-ros-py or {instead}",
         ) from None
     return tf2_ros

@@ -32,6 +32,7 @@ def judge_result(
         "model": str(estimate.model),
         "translation_observable": str(estimate.translation_observable).lower(),
         "scale": scale,
+        "gyro": str(estimate.gyro),
         "contrast_gain": f"{quality.contrast_gain:.3f}",
         "residual_px": f"{quality.residual_px:.3f}",
         "inlier_fraction": f"{quality.inlier_fraction:.3f}",

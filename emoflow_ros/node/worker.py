@@ -17,6 +17,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimator, Status
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.twist import at_middle, sample
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError
@@ -100,7 +101,10 @@ class _Worker:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
-        window = Window(header["t_start"], header["t_end"], Events(**arrays))
+        gyro = None
+        if "gyro_t" in arrays:
+            gyro = GyroReadings(arrays.pop("gyro_t"), arrays.pop("gyro_w"))
+        window = Window(header["t_start"], header["t_end"], Events(**arrays), gyro)
         estimate = self._estimator.estimate(window)
         if estimate.status is not Status.OK:
             return pack(estimate, [])

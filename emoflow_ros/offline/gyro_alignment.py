@@ -1,10 +1,11 @@
 """Rotation, scale, bias and time offset that bring a gyro to the angular velocity of the events."""
 
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.gyro_axes import AXES
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -122,7 +123,7 @@ def fit(gyro: Array, events: Array) -> Alignment | None:
 
 def nearest_axes(rotation: Array) -> Array:
     """Return the rotation by right angles (3, 3) that is nearest."""
-    candidates = [c for c in _axes() if np.linalg.det(c) > 0]
+    candidates = [c for c in AXES if np.linalg.det(c) > 0]
     return max(candidates, key=lambda c: float((c * rotation).sum()))
 
 
@@ -140,17 +141,8 @@ def mirrored_axes(gyro: Array, events: Array, rotation: Array) -> Array | None:
         scale = (turned * events).sum() / max((turned**2).sum(), 1e-12)
         return float(np.median(np.linalg.norm(events - max(scale, 0) * turned, axis=1)))
 
-    best = min((c for c in _axes() if np.linalg.det(c) < 0), key=left)
+    best = min((c for c in AXES if np.linalg.det(c) < 0), key=left)
     return best if left(best) < 0.6 * left(rotation) else None
-
-
-def axis_names(matrix: Array) -> str:
-    """Name the gyro's axes that the camera's x, y and z are, for example `+x, -z, +y`."""
-    names = []
-    for row in matrix:
-        k = int(np.abs(row).argmax())
-        names.append(f"{'+' if row[k] > 0 else '-'}{'xyz'[k]}")
-    return ", ".join(names)
 
 
 def _weighted_fit(gyro: Array, events: Array, weights: Array) -> tuple[Array, float, Array, Array]:
@@ -182,12 +174,3 @@ def _misfit(found: Alignment) -> float:
         + (found.offset_ns / _USUAL_OFFSET_NS) ** 2
     )
     return float(of_data + of_gyro / 2)
-
-
-def _axes() -> list[Array]:
-    """All 48 matrices of permuted and mirrored axes."""
-    return [
-        np.diag(signs) @ np.eye(3)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]

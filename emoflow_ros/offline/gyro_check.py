@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from emoflow_ros.core.gyro_axes import UNITS, axis_names
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.offline.gyro_alignment import (
     Alignment,
     GyroMeans,
     align,
-    axis_names,
     mirrored_axes,
     nearest_axes,
 )
@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 
 _FEW = 8
 _SLOW = math.radians(3.0)  # rad/s, spread of the motion below which an axis is not told
-_UNITS = 0.35  # relative error of the scale up to which it looks like wrong units
 _DEG = math.degrees(1.0)
 
 
@@ -89,9 +88,9 @@ def _describe(found: Alignment, gyro: Array, events: Array) -> Iterator[str]:
 
 
 def _units(found: Alignment) -> str:
-    if abs(found.scale / _DEG - 1) < _UNITS:
+    if abs(found.scale / _DEG - 1) < UNITS:
         return ": its unit is deg/s and has to be rad/s"
-    if abs(found.scale * _DEG - 1) < _UNITS:
+    if abs(found.scale * _DEG - 1) < UNITS:
         return ": it was converted to rad/s twice"
     return ""
 

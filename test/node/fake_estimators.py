@@ -13,6 +13,7 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 
@@ -45,6 +46,19 @@ class Recorder:
 
     def reset(self) -> None:
         self.windows = 0
+
+
+class GyroRecorder(Recorder):
+    """Answer with what a gyro says: its angular velocity, and what became of it."""
+
+    def __init__(self, camera: Camera, config: Config) -> None:
+        super().__init__(camera, config)
+        self.gyro = Gyro(config.imu)
+
+    def estimate(self, window: Window) -> Estimate:
+        measured = self.gyro.measure(window.t_start, window.t_end, window.gyro)
+        angular = measured.w if measured else np.zeros(3)
+        return replace(super().estimate(window), angular=angular, gyro=self.gyro.status)
 
 
 class SpeedingUp:

@@ -1,6 +1,7 @@
 """A node without DDS, which keeps what is published, and a tf that knows one transform."""
 
 import sys
+from contextlib import nullcontext
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -21,6 +22,16 @@ class FakePublisher:
         return self.subscribers
 
 
+class FakeHandle(nullcontext):
+    def __init__(self, sent: list[bytes]) -> None:
+        super().__init__()
+        self._sent = sent
+
+    def take_message(self, message_type: Any, raw: bool) -> Any:
+        assert raw
+        return (self._sent.pop(0), None) if self._sent else None
+
+
 class FakeNode:
     """Its publishers have as many subscribers as a test says; the log holds (level, line)."""
 
@@ -28,6 +39,7 @@ class FakeNode:
         self.publishers: dict[str, FakePublisher] = {}
         self.now = 0
         self.log: list[tuple[str, str]] = []
+        self.sent: list[bytes] = []
 
     def get_logger(self) -> Any:
         def level(name: str) -> Any:
@@ -45,6 +57,20 @@ class FakeNode:
     def destroy_lifecycle_publisher(self, publisher: FakePublisher) -> None:
         [topic] = [name for name, p in self.publishers.items() if p is publisher]
         del self.publishers[topic]
+
+    def create_timer(self, period_s: float, callback: Any, clock: Any) -> Any:
+        return SimpleNamespace(cancel=lambda: None, reset=lambda: None, fire=callback)
+
+    def create_subscription(self, message_type: Any, topic: str, *args: Any, **kwargs: Any) -> Any:
+        """A polled one: `sent` holds what has come on any topic."""
+        handle = FakeHandle(self.sent)
+        return SimpleNamespace(handle=handle, msg_type=message_type)
+
+    def destroy_subscription(self, subscription: Any) -> None:
+        pass
+
+    def destroy_timer(self, timer: Any) -> None:
+        pass
 
     def get_fully_qualified_name(self) -> str:
         return "/estimator"

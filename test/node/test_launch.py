@@ -88,8 +88,13 @@ def test_twist_rate_is_passed_as_a_number(start: Start) -> None:
 
 def test_topics_are_remapped_only_when_they_are_given(start: Start) -> None:
     assert start()[0].remappings == []
-    remapped = start(events="/cam/events", camera_info="/cam/info")[0].remappings
-    assert remapped == [("events", "/cam/events"), ("camera_info", "/cam/info")]
+    started = start(events="/cam/events", camera_info="/cam/info", imu="/imu/data")[0]
+    assert started.remappings == [
+        ("events", "/cam/events"),
+        ("camera_info", "/cam/info"),
+        ("imu", "/imu/data"),
+    ]
+    assert started.parameters[0]["imu.use"] == "auto"
 
 
 def test_arguments_become_parameters_that_the_node_has(start: Start) -> None:

@@ -41,6 +41,7 @@ def test_status_of_an_estimate_holds_its_quality_and_age(task: Task) -> None:
         "model": "full",
         "translation_observable": "true",
         "scale": "none",
+        "gyro": "none",
         "contrast_gain": "1.250",
         "residual_px": "0.500",
         "inlier_fraction": "0.875",

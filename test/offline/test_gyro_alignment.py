@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from emoflow_ros.core.gyro_axes import axis_names
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.offline.gyro_alignment import (
     GyroMeans,
     align,
-    axis_names,
     mirrored_axes,
     nearest_axes,
 )

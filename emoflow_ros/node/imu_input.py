@@ -1,0 +1,202 @@
+"""From serialised IMU messages to readings beside the windows; knows no ROS."""
+
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.gyro_config import GyroConfig
+from emoflow_ros.core.gyro_readings import REACH_NS, GyroReadings
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.node.tasks import Task
+
+type Mounting = Callable[[str, str], NDArray[np.float64]]
+
+_CAPACITY = 8192  # readings: 4 s at 2 kHz
+_DISORDER = 100 * NS_PER_MS  # a step back of less is disorder, more is another run of the recording
+_WAIT_S = 0.008
+_LIVE = 200 * NS_PER_MS  # a gyro that is further behind than this is not waited for
+_SILENT_S = 0.5
+_SAME_CLOCK = NS_PER_S
+_ANGULAR = 13 * 8  # bytes after the header: orientation and its covariance
+_NOT_MEASURED = -1.0
+_HEAD = {"<": struct.Struct("<iII"), ">": struct.Struct(">iII")}
+_BODY = {"<": struct.Struct("<4d"), ">": struct.Struct(">4d")}
+
+
+class MountingError(Exception):
+    """How the IMU sits is not known yet; says why."""
+
+
+class ReadingBuffer:
+    """The latest readings, at least 4096 of them, in arrays that are never made anew."""
+
+    def __init__(self) -> None:
+        self._t = np.zeros(_CAPACITY, np.int64)
+        self._w = np.zeros((_CAPACITY, 3))
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._count = 0
+        self.latest: int | None = None
+
+    def add(self, t: int, x: float, y: float, z: float) -> None:
+        """Take a reading; one that is a little late is left out, one from long ago starts anew."""
+        latest = self.latest
+        if latest is not None and t <= latest:
+            if latest - t < _DISORDER:
+                return
+            self.clear()
+        if self._count == _CAPACITY:
+            half = _CAPACITY // 2
+            self._t[:half] = self._t[half:]
+            self._w[:half] = self._w[half:]
+            self._count = half
+        row = self._w[self._count]
+        row[0], row[1], row[2] = x, y, z
+        self._t[self._count] = t
+        self._count += 1
+        self.latest = t
+
+    def between(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Times (N,) and angular velocities (N, 3) from `first` to `last`, ns; a copy."""
+        t = self._t[: self._count]
+        a, b = np.searchsorted(t, [first, last + 1])
+        return t[a:b].copy(), self._w[a:b].copy()
+
+
+class ImuInput:
+    """Gives windows the readings that cover them.
+
+    A window waits for readings up to its end, 8 ms at most, and not for a gyro that is silent. The
+    stamps of the IMU are compared with the events' own times where these are ROS times, within a
+    second, and are mapped to them otherwise.
+
+    Args:
+        config: `rotation` is looked up with `mounting`.
+        mounting: rotation from a frame, the IMU's, to another one, the camera's; raises
+            MountingError.
+        clock: monotonic time in s.
+
+    Attributes:
+        refusal: what is wrong with the latest message; empty if nothing is.
+    """
+
+    def __init__(
+        self,
+        config: GyroConfig,
+        mounting: Mounting,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._config = config
+        self._mounting = mounting
+        self._clock = clock
+        self._buffer = ReadingBuffer()
+        self._waiting: deque[Task] = deque()
+        self._frame = ""
+        self._heard: float | None = None
+        self._rotation: NDArray[np.float64] | None = None
+        self._unmounted = ""
+        self._apart = 0  # from the last window's end to the latest reading, ns
+        self.refusal = ""
+
+    @property
+    def is_waited_for(self) -> bool:
+        """Whether windows wait for readings."""
+        return bool(self._waiting)
+
+    def take(self, data: bytes) -> None:
+        """Take a serialised sensor_msgs/Imu; one that cannot be read is left out."""
+        try:
+            order = "<" if data[1] & 1 else ">"
+            sec, nanosec, length = _HEAD[order].unpack_from(data, 4)
+            start = 16 + length
+            start += -(start - 4) % 8  # aligned, counted from behind the encapsulation
+            x, y, z, covariance = _BODY[order].unpack_from(data, start + _ANGULAR)
+        except (struct.error, IndexError):
+            self.refusal = "a malformed message"
+            return
+        if covariance == _NOT_MEASURED:
+            self.refusal = "messages that say they have no gyroscope"
+            return
+        self.refusal = ""
+        if not self._frame:
+            self._frame = data[16 : 15 + length].decode(errors="replace")
+        self._heard = self._clock()
+        self._buffer.add(sec * NS_PER_S + nanosec, x, y, z)
+
+    def hold(self, tasks: list[Task]) -> None:
+        """Take windows that are complete."""
+        self._waiting.extend(tasks)
+
+    def ready(self) -> list[Task]:
+        """Return the windows, in their order, that wait no longer, with their readings."""
+        found = []
+        while self._waiting and not self._waits(self._waiting[0]):
+            found.append(self._with_readings(self._waiting.popleft()))
+        return found
+
+    def forget(self) -> int:
+        """Forget the windows that wait; return how many."""
+        count = len(self._waiting)
+        self._waiting.clear()
+        return count
+
+    def problem(self, topic: str) -> str:
+        """Say why windows go without readings of the topic; empty if they do not, or none is known.
+
+        A topic that nobody has published yet is a problem only where the gyro is required.
+        """
+        if self.refusal:
+            return f"{topic}: {self.refusal}; check the driver"
+        if self._heard is None:
+            required = self._config.use == "require"
+            wrong = f"no message on {topic}; remap imu:=TOPIC, or set imu.use to auto or off"
+            return wrong if required else ""
+        silent = self._clock() - self._heard
+        if silent > _SILENT_S:
+            return f"no message on {topic} for {silent:.1f} s: check the driver"
+        if self._unmounted:
+            return self._unmounted
+        if abs(self._apart) > NS_PER_S:
+            return (
+                f"the stamps of {topic} are {self._apart / NS_PER_S:.1f} s from the events: it is "
+                "on another clock; use one clock, or set imu.time_offset_ms"
+            )
+        return ""
+
+    def _waits(self, task: Task) -> bool:
+        latest = self._buffer.latest
+        if latest is None:
+            return False
+        ahead = latest - task.window.t_end - self._shift(task)
+        if ahead >= 0 or ahead < -_LIVE:
+            return False
+        return self._clock() - task.received < _WAIT_S
+
+    def _with_readings(self, task: Task) -> Task:
+        if self._buffer.latest is None:
+            return task
+        window, shift = task.window, self._shift(task)
+        self._apart = self._buffer.latest - window.t_end - shift
+        try:
+            if self._rotation is None:
+                self._rotation = self._mounting(self._frame, task.frame_id)
+            self._unmounted = ""
+        except MountingError as error:
+            self._unmounted = str(error)
+            return task
+        around = (window.t_start + shift - 2 * REACH_NS, window.t_end + shift + 2 * REACH_NS)
+        t, w = self._buffer.between(*around)
+        readings = GyroReadings.mounted(t, w, self._rotation, -shift)
+        return replace(task, window=window.with_gyro(readings))
+
+    def _shift(self, task: Task) -> int:
+        """Stamp of the IMU minus event time, ns."""
+        clocks = task.time_offset if abs(task.time_offset) > _SAME_CLOCK else 0
+        return clocks - self._config.time_offset_ns

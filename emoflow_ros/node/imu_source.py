@@ -1,0 +1,138 @@
+"""The IMU of a node: what it is called, how it is mounted, and when windows have waited enough."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+
+from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
+from emoflow_ros.core.gyro_faults import GyroState
+from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.imu_input import ImuInput, MountingError
+from emoflow_ros.node.polled_subscription import PolledSubscription
+from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.target_frame import NoTransformError, TfFrame
+from emoflow_ros.node.tasks import Task
+
+_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+_FETCH_S = 0.05  # between events, so that the middleware's history does not overflow
+_LOOK_S = 0.004  # while a window waits
+
+
+class ImuSource:
+    """Puts the readings of the topic `imu` beside windows.
+
+    Args:
+        node: subscribes, and listens to tf.
+        config: of the gyro, `use` is not off.
+        hand_on: gets windows that wait no longer.
+        statistics: told what is wrong with the gyro.
+        made: gets what takes this back.
+
+    Raises:
+        InputError: the mounting is to come from tf, and tf2_ros is not installed.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        config: GyroConfig,
+        hand_on: Callable[[list[Task]], None],
+        statistics: Statistics,
+        made: ExitStack,
+    ) -> None:
+        self._node = node
+        self._hand_on = hand_on
+        self._statistics = statistics
+        self._level = Level.ERROR if config.use == "require" else Level.WARN
+        self._topic = ""
+        self._subscription: PolledSubscription | None = None
+        self._config = config
+        self._tf: TfFrame | None = None
+        if config.rotation == ROTATION_FROM_TF:
+            self._tf = TfFrame(node, "", "imu.rotation", "give imu.rotation as roll,pitch,yaw")
+            made.callback(self._tf.close)
+        self._input = ImuInput(config, self._mounting)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        fetching = node.create_timer(_FETCH_S, self._release, clock=steady)
+        self._looking = node.create_timer(_LOOK_S, self._look, clock=steady)
+        self._looking.cancel()
+        for timer in (fetching, self._looking):
+            made.callback(node.destroy_timer, timer)
+        made.callback(self.stop)
+
+    def listen(self, topic: EventTopic) -> None:
+        """Take the IMU beside this event topic from now on."""
+        self.stop()
+        self._topic = imu_topic(self._node, topic)
+        self._subscription = PolledSubscription(
+            self._node, Imu, self._topic, _QOS, self._input.take
+        )
+
+    def stop(self) -> None:
+        """Unsubscribe."""
+        if self._subscription is not None:
+            self._subscription.close()
+        self._subscription = None
+        self._topic = ""
+        self._statistics.clear_problem("gyro")
+
+    def push(self, tasks: list[Task]) -> None:
+        """Take windows; they are handed on with their readings, at once or a little later."""
+        self._input.hold(tasks)
+        self._release()
+        if self._input.is_waited_for:
+            self._looking.reset()
+
+    def forget(self) -> int:
+        """Forget the windows that wait; return how many."""
+        return self._input.forget()
+
+    def judge(self, estimate: Estimate) -> None:
+        """Note what became of the gyro in an estimate."""
+        if estimate.gyro.state is GyroState.REJECTED:
+            self._statistics.set_problem("gyro", self._level, f"gyro: {estimate.gyro}")
+        elif estimate.gyro.state is GyroState.USED:
+            self._statistics.clear_problem("gyro")
+
+    def report(self) -> None:
+        """Note what is wrong with the messages."""
+        if self._topic and (problem := self._input.problem(self._topic)):
+            self._statistics.set_problem("gyro", self._level, f"gyro: {problem}")
+
+    def _look(self) -> None:
+        self._release()
+        if not self._input.is_waited_for:
+            self._looking.cancel()
+
+    def _release(self) -> None:
+        if self._subscription is not None:
+            self._subscription.fetch()
+        if tasks := self._input.ready():
+            self._hand_on(tasks)
+
+    def _mounting(self, imu_frame: str, optical_frame: str) -> NDArray[np.float64]:
+        if self._tf is None:
+            return self._config.matrix()
+        try:
+            return self._tf.between(optical_frame, imu_frame, 0)
+        except NoTransformError as error:
+            raise MountingError(str(error)) from None
+
+
+def imu_topic(node: Node, topic: EventTopic) -> str:
+    """Name the topic: `imu` if that is remapped, or the one beside the events."""
+    name: str = node.resolve_topic_name("imu")
+    if name != node.resolve_topic_name("imu", only_expand=True):
+        return name
+    return f"{topic.name.rpartition('/')[0]}/imu"

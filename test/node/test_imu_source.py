@@ -1,0 +1,179 @@
+"""The gyro in the pipeline: windows, diagnostics and status; the worker is a fake."""
+
+import sys
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+from fake_node import FakeNode, install_fake_tf
+from fake_supervisor import install_fake_supervisor
+from graph import DVS
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Estimate, Quality, Status
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.gyro_faults import GyroState, GyroStatus
+from emoflow_ros.core.windows import Window
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.answer import pack, unpack
+from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.parameters import NodeOptions, Settings
+from emoflow_ros.node.pipeline import Pipeline
+from emoflow_ros.node.statistics import Level
+from emoflow_ros.node.tasks import Job, Result, Task
+from emoflow_ros.simulation.messages import ImuSample, MessageEncoder
+
+MS = 1_000_000
+CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
+ENCODER = MessageEncoder(ros1=False)
+WINDOWS = {"window.duration_ms": 10.0, "window.stride_ms": 10.0, "input.queue_windows": 8}
+
+
+class Bench:
+    """A calibrated pipeline that listens to /left/events and /left/imu."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **imu: str) -> None:
+        supervisors = install_fake_supervisor(monkeypatch)
+        self.node = FakeNode()
+        values = {f"imu.{name}": value for name, value in imu.items()}
+        self.pipeline = Pipeline(
+            self.node,  # type: ignore[arg-type]
+            Settings(NodeOptions(), load_config()).changed(WINDOWS | values),
+            factory="",
+            wake=lambda: None,
+            made=ExitStack(),
+        )
+        if self.pipeline.imu is not None:
+            self.pipeline.imu._input._clock = lambda: 0.0  # no window has waited long enough
+        [self.supervisor] = supervisors
+        self.pipeline.take_topic(EventTopic("/left/events", DVS))
+        info = deserialize_message(ENCODER.camera_info(0, CAMERA), CameraInfo)
+        self.pipeline.take_camera_info(info)
+
+    def events(self, first_ms: int, last_ms: int) -> None:
+        for ms in range(first_ms, last_ms, 5):
+            zero = np.zeros(1, np.uint16)
+            events = Events(zero, zero, np.array([ms * MS]), zero.astype(bool))
+            self.pipeline.take_events(ENCODER.events(ms * MS, CAMERA, events))
+
+    def imu(self, first_ms: int, last_ms: int) -> None:
+        assert self.pipeline.imu is not None
+        for ms in range(first_ms, last_ms):
+            sample = ImuSample(np.array([ms, 0.0, 0.0]), np.zeros(3))
+            self.node.sent.append(ENCODER.imu(ms * MS, sample))
+        self.pipeline.imu._release()  # as the timer does
+
+    def answer(self, job: Job, gyro: GyroStatus) -> None:
+        window = job.task.window
+        estimate = Estimate(
+            window.t_start, window.t_end, window.t_start, Status.NO_MOTION, Quality(1), gyro=gyro
+        )
+        self.supervisor.outcomes.put(Result(job.task, estimate))
+        self.pipeline.take_outcomes()
+
+
+def test_windows_go_to_the_worker_with_their_readings(monkeypatch) -> None:
+    bench = Bench(monkeypatch, use="auto", rotation="0,0,90")
+    bench.imu(990, 1011)
+    bench.events(1000, 1021)
+    [first] = bench.supervisor.jobs()  # 1000 to 1010; the next one waits for its end
+    assert (first.task.window.gyro.t // MS).tolist() == list(range(1000, 1011))
+    np.testing.assert_allclose(first.task.window.gyro.w[0], [0, 1000, 0], atol=1e-9)
+    bench.imu(1011, 1022)
+    [second] = bench.supervisor.jobs()
+    assert (second.task.window.gyro.t // MS).tolist() == list(range(1010, 1021))
+
+
+def test_a_window_that_waits_is_handed_on_by_the_timer(monkeypatch) -> None:
+    bench = Bench(monkeypatch, use="auto")
+    bench.imu(990, 1005)
+    bench.events(1000, 1011)
+    assert bench.supervisor.jobs() == []
+    bench.pipeline.imu._input._clock = lambda: 1e12
+    bench.pipeline.imu._looking.fire()
+    [job] = bench.supervisor.jobs()
+    assert job.task.window.gyro.t[-1] == 1004 * MS
+
+
+def test_windows_that_wait_are_forgotten_with_their_epoch(monkeypatch) -> None:
+    bench = Bench(monkeypatch, use="auto")
+    bench.imu(990, 1005)
+    bench.events(1000, 1011)
+    bench.events(100, 101)
+    bench.imu(1005, 1015)
+    assert bench.supervisor.jobs() == []
+    assert bench.pipeline.statistics.counts["windows_forgotten"] == 1
+
+
+def test_off_hears_no_imu(monkeypatch) -> None:
+    bench = Bench(monkeypatch)
+    assert bench.pipeline.imu is None
+    bench.events(1000, 1011)
+    [job] = bench.supervisor.jobs()
+    assert job.task.window.gyro is None
+
+
+@pytest.mark.parametrize(("use", "level"), [("auto", Level.WARN), ("require", Level.ERROR)])
+def test_diagnostics_and_status_tell_what_became_of_the_gyro(monkeypatch, use, level) -> None:
+    bench = Bench(monkeypatch, use=use)
+    bench.imu(990, 1045)
+    bench.events(1000, 1041)
+    jobs = bench.supervisor.jobs()
+    reason = "gyro and events disagree: 78 % of windows, axis x inverted?"
+    bench.answer(jobs[0], GyroStatus(GyroState.REJECTED, reason))
+    report = bench.pipeline.report()
+    assert (report.level, report.message) == (level, f"gyro: rejected ({reason})")
+    assert report.values["gyro"] == f"rejected ({reason})"
+    [status] = bench.node.messages("egomotion/status")
+    assert {v.key: v.value for v in status.values}["gyro"] == f"rejected ({reason})"
+    bench.answer(jobs[1], GyroStatus(GyroState.USED))
+    report = bench.pipeline.report()
+    assert (report.level, report.values["gyro"]) == (Level.OK, "used")
+
+
+def test_a_required_imu_that_is_not_there_is_an_error(monkeypatch) -> None:
+    bench = Bench(monkeypatch, use="require")
+    bench.events(1000, 1011)
+    report = bench.pipeline.report()
+    assert report.level is Level.ERROR
+    assert report.message.startswith("gyro: no message on /left/imu; remap imu:=TOPIC")
+    assert len(bench.supervisor.jobs()) == 1
+    bench.pipeline.pause()
+    assert bench.pipeline.report().level is Level.OK
+
+
+def test_the_mounting_may_come_from_tf(monkeypatch) -> None:
+    tf = install_fake_tf(monkeypatch)
+    bench = Bench(monkeypatch, use="auto", rotation="tf")
+    bench.imu(990, 1015)
+    bench.events(1000, 1011)
+    assert bench.supervisor.jobs()[0].task.window.gyro is None
+    assert bench.pipeline.report().message == (
+        "gyro: no transform from davis_left_imu to davis_left_optical: not yet"
+    )
+    tf.known = True
+    bench.imu(1015, 1025)
+    bench.events(1015, 1021)
+    gyro = bench.supervisor.jobs()[0].task.window.gyro
+    np.testing.assert_allclose(gyro.w[0], [0, -1010, 0], atol=1e-9)
+    assert tf.asked[-1] == ("davis_left_optical", "davis_left_imu", 0)
+
+
+def test_without_tf2_the_mounting_cannot_come_from_tf(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    with pytest.raises(InputError, match=r"^imu\.rotation: tf needs .* give imu\.rotation as roll"):
+        Bench(monkeypatch, use="auto", rotation="tf")
+
+
+def test_the_gyros_status_crosses_the_channel() -> None:
+    status = GyroStatus(GyroState.REJECTED, "no readings")
+    task = Task(Window(0, 1, Events.empty()), 0, 0, "camera", 0.0)
+    estimate = Estimate(0, 1, 0, Status.NO_MOTION, Quality(events=1), gyro=status)
+    result = unpack(task, *pack(estimate, []))
+    assert result.estimate.gyro == status
