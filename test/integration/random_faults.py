@@ -148,7 +148,10 @@ class Script:
 
     def kill_worker(self) -> None:
         self._peer.spin_until(lambda: len(self._workers()) == 1, "a worker")
-        os.kill(self._workers()[0], signal.SIGKILL)
+        [worker] = self._workers()
+        os.kill(worker, signal.SIGKILL)
+        # What comes next must not take it for its successor.
+        self._peer.spin_until(lambda: worker not in self._workers(), "its end")
 
     def stop_worker(self) -> None:
         """Stop it for longer than windows can wait, and let it go on."""
