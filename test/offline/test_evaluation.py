@@ -76,14 +76,8 @@ def folder(tmp_path):
     path.mkdir()
     rng = np.random.default_rng(0)
     n = 5501
-    rows = np.column_stack(
-        [
-            2 + np.arange(n) * 1e-4,
-            rng.integers(0, 240, n),
-            rng.integers(0, 180, n),
-            np.arange(n) % 2,
-        ]
-    )
+    x, y = rng.integers(0, 240, n), rng.integers(0, 180, n)
+    rows = np.column_stack([2 + np.arange(n) * 1e-4, x, y, np.arange(n) % 2])
     np.savetxt(path / "events.txt", rows, fmt="%.6f %d %d %d")
     (path / "calib.txt").write_text("200 200 119.5 89.5 0 0 0 0 0")
     (path / "motion.txt").write_text(" ".join(map(str, OMEGA)))
