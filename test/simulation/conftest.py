@@ -1,5 +1,3 @@
-from collections.abc import Iterator
-
 import pytest
 
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
@@ -7,12 +5,10 @@ from emoflow_ros.simulation.sensor import SensorModel
 from emoflow_ros.simulation.textures import make_textures
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _textures_are_painted_each_time() -> Iterator[None]:
-    """Here the simulation is what is tested; the other folders paint once for a seed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("emoflow_ros.simulation.recording.make_textures", make_textures)
-        yield
+@pytest.fixture
+def painted_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Textures of a seed are not those that a test before has painted."""
+    monkeypatch.setattr("emoflow_ros.simulation.recording.make_textures", make_textures)
 
 
 @pytest.fixture(scope="session")
