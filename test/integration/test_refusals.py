@@ -4,12 +4,12 @@ import importlib.util
 from pathlib import Path
 
 import pytest
-from forked import results
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from repeated import results
 from shared_node import SharedNode
 
 from emoflow_ros.core.camera import Camera
@@ -51,7 +51,7 @@ REFUSALS = [
 def refusals(*arguments: list[str]) -> list[str]:
     """The single line that the node says to each of these arguments."""
     given = [["--ros-args", *some] for some in arguments]
-    found = results("emoflow_ros.node.executable:main", given, "emoflow_ros.node.estimator")
+    found = results("emoflow_ros.node.executable:main", given)
     assert [code for code, _ in found] == [2] * len(given), found
     return [said for _, [said] in found]
 

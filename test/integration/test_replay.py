@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import results
 from geometry_msgs.msg import TwistStamped
 from harness import MS, WAIT_S, Peer, Processes, contention, wait_for
+from repeated import results
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
