@@ -33,6 +33,7 @@ PARAMETERS = (
     "window.duration_ms:=20.0",
     "input.timestamps:=sensor",
     "output.diagnostics_s:=0.2",
+    "output.timeout_s:=60.0",  # a stopped worker is not replaced, also on a busy machine
 )
 # Middles of windows differ by whole ms within an epoch, and by this from those of others.
 _PHASE_NS = 100
