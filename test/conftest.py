@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # NumPy must find the number of threads below when it is imported
+    import numpy as np
     from xdist.scheduler import LoadFileScheduling
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,7 +35,6 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 # A shell ignores SIGINT for its background jobs, and children inherit that: tests that interrupt
 # a process would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
 
 _locks: list[IO[str]] = []  # open for as long as this process has the domain
 
@@ -94,7 +93,7 @@ def _textures_are_painted_once() -> Iterator[None]:
 
     painted: dict[str, TextureSet] = {}
 
-    def paint(count: int, rng: np.random.Generator) -> TextureSet:
+    def paint(count: int, rng: "np.random.Generator") -> TextureSet:
         key = f"{count} {rng.bit_generator.state}"
         if key not in painted:
             painted[key] = make_textures(count, rng)
