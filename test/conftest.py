@@ -1,11 +1,20 @@
-"""What all tests share: where the real recordings are, and ROS on this machine only."""
+"""What all tests share: ROS on this machine only, on a domain of each process; recordings."""
 
+import fcntl
 import os
 import signal
+import socket
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:  # NumPy must find the number of threads below when it is imported
+    import numpy as np
+    from xdist.scheduler import LoadFileScheduling
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -26,6 +35,73 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 # A shell ignores SIGINT for its background jobs, and children inherit that: tests that interrupt
 # a process would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+_locks: list[IO[str]] = []  # open for as long as this process has the domain
+
+
+def _free_domain() -> int:
+    """Find a domain without participants: the port of a first one (DDSI-RTPS 9.6.2.4) is free.
+
+    Another run of the tests may have found it, too, and have no participant yet: it is locked.
+    """
+    for attempt in range(90):
+        domain = 10 + (os.getpid() + attempt) % 90
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+        try:
+            lock = (Path(tempfile.gettempdir()) / f"emoflow_ros_domain_{domain}.lock").open("w")
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            continue
+        _locks.append(lock)
+        return domain
+    raise RuntimeError("all ROS domains are in use")
+
+
+os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> "LoadFileScheduling":
+    """Give each process whole files, so that the fixtures of a module are made once.
+
+    The files of `integration/` stay together: they wait for other processes most of the time, so
+    that they belong beside tests that compute, and not beside one another.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "integration" if "integration/" in nodeid else super()._split_scope(nodeid)
+
+    config.option.loadscopereorder = False  # first come those that take the longest: see below
+    return Scheduling(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what takes minutes and cannot be divided."""
+    items.sort(key=lambda item: "integration" not in item.path.parts)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _textures_are_painted_once() -> Iterator[None]:
+    """Painting is the larger part of a short simulation, and most have one of a few seeds."""
+    from emoflow_ros.simulation.textures import TextureSet, make_textures
+
+    painted: dict[str, TextureSet] = {}
+
+    def paint(count: int, rng: "np.random.Generator") -> TextureSet:
+        key = f"{count} {rng.bit_generator.state}"
+        if key not in painted:
+            painted[key] = make_textures(count, rng)
+        return painted[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("emoflow_ros.simulation.recording.make_textures", paint)
+        yield
 
 
 @pytest.fixture(scope="session")

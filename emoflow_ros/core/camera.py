@@ -1,7 +1,7 @@
 """Camera models: pixels to bearings on the undistorted normalised plane, and back."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -118,6 +118,18 @@ class Camera:
     def intrinsic_matrix(self) -> NDArray[np.float64]:
         """K, (3, 3)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """Build the camera whose corner pixels see what this one's see, with other pixels between.
+
+        Args:
+            width, height: its size in pixels, at least 2 each.
+        """
+        x, y = (width - 1) / (self.width - 1), (height - 1) / (self.height - 1)
+        return replace(
+            self, width=width, height=height,
+            fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y,
+        )  # fmt: skip
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Project points (..., 3) in the optical frame (z > 0) to pixels (..., 2)."""

@@ -102,7 +102,7 @@ def _chain(
 @_compiled
 def best_rotations(
     normal: F64, b: F64, flow: F64, evidence: F64, inlier: float, reweightings: int,
-    w: F64, cost: F64,
+    known: F64, information: F64, w: F64, cost: F64,
 ) -> None:  # fmt: skip
     """Fit a rotation to each field of normals: robust least squares in n . (u - b w).
 
@@ -116,6 +116,8 @@ def best_rotations(
         evidence: (nodes, 2, 2) inverse covariance of the flow; zero where it does not count.
         inlier: px per window, of the Geman-McClure weights.
         reweightings: least squares solutions.
+        known: (3,) what w is expected to be.
+        information: (3, 3) of that; zero where nothing is known.
         w: (M, 3), written.
         cost: (M,), written.
     """
@@ -136,7 +138,7 @@ def best_rotations(
             for j in range(3):
                 row[n, j] = x * b[n, 0, j] + y * b[n, 1, j]
         for _ in range(reweightings):
-            matrix, vector = np.zeros((3, 3)), np.zeros(3)
+            matrix, vector = information.copy(), information @ known
             for n in range(nodes):
                 for i in range(3):
                     weighted = weight[n] * row[n, i]
@@ -162,18 +164,19 @@ def best_rotations(
             in_front = ny * x - nx * y > 0
             ahead += across if in_front else whole
             behind += whole if in_front else across
-        cost[m] = min(ahead, behind)
+        cost[m] = min(ahead, behind) + _surprise(w[m] - known, information)
 
 
 @_compiled
 def best_rotation(
-    b: F64, flow: F64, evidence: F64, usable: NDArray[np.bool_], inlier: float, reweightings: int
-) -> tuple[F64, float]:
+    b: F64, flow: F64, evidence: F64, usable: NDArray[np.bool_], inlier: float, reweightings: int,
+    known: F64, information: F64,
+) -> tuple[F64, float]:  # fmt: skip
     """Fit the pure rotation that leaves least of a flow; the bound for inliers grows with the rest.
 
     Args:
         usable: (nodes,) which nodes count.
-        b, flow, evidence, inlier, reweightings: as in `best_rotations`.
+        b, flow, evidence, inlier, reweightings, known, information: as in `best_rotations`.
 
     Returns:
         w (3,), and the robust cost.
@@ -182,7 +185,7 @@ def best_rotation(
     weight, r2, w = np.ones(nodes), np.zeros(nodes), np.zeros(3)
     cost = 0.0
     for _ in range(reweightings):
-        matrix, vector = np.zeros((3, 3)), np.zeros(3)
+        matrix, vector = information.copy(), information @ known
         for n in range(nodes):
             for i in range(3):
                 px = b[n, 0, i] * evidence[n, 0, 0] + b[n, 1, i] * evidence[n, 0, 1]
@@ -191,7 +194,7 @@ def best_rotation(
                 for j in range(3):
                     matrix[i, j] += weight[n] * (px * b[n, 0, j] + py * b[n, 1, j])
         w = np.linalg.solve(_regular(matrix), vector)
-        cost = 0.0
+        cost = _surprise(w - known, information)
         for n in range(nodes):
             x, y = flow[n, 0], flow[n, 1]
             for j in range(3):
@@ -208,6 +211,12 @@ def best_rotation(
         for n in range(nodes):
             weight[n] = 1 / (1 + r2[n] / scale) ** 2
     return w, cost
+
+
+@_compiled
+def _surprise(apart: F64, information: F64) -> float:
+    """Cost of a rotation that lies `apart` (3,) from what is known."""
+    return float(apart @ (information @ apart))
 
 
 @_compiled

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 _DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
 _REWEIGHTINGS = 4
 
+# (3,) rad per window and its information (3, 3)
+type Rotation = tuple[Array, Array]
+_UNKNOWN: Rotation = (np.zeros(3), np.zeros((3, 3)))
 
 MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
 
@@ -159,7 +162,9 @@ class NodeEpipolar:
         jacobian = np.einsum("tk,nij->ntikj", self._basis, self.b)
         return jacobian.reshape(*jacobian.shape[:3], -1)
 
-    def search(self, flow: Array, information: Array) -> tuple[Array, Array, Array]:
+    def search(
+        self, flow: Array, information: Array, known: Rotation = _UNKNOWN
+    ) -> tuple[Array, Array, Array]:
         """Score constant motions against a flow, over all directions of v.
 
         For a given v the residual is linear in w: robust least squares for each of the
@@ -169,45 +174,50 @@ class NodeEpipolar:
         Args:
             flow: (nodes, 2) px per window.
             information: (nodes, 2, 2), inverse covariance of the flow.
+            known: what else is known of w, in the same units.
 
         Returns:
             v (M, 3) unit, w (M, 3) rad per window and the robust costs (M,).
         """
-        w, cost = self._best_rotations(self._normals, flow, information)
+        w, cost = self._best_rotations(self._normals, flow, information, known)
         return self._directions, w, cost
 
-    def score(self, v: Array, flow: Array, information: Array) -> tuple[Array, float]:
+    def score(
+        self, v: Array, flow: Array, information: Array, known: Rotation = _UNKNOWN
+    ) -> tuple[Array, float]:
         """Return the best w (3,) for one direction v (3,), and the robust cost, as `search`."""
-        w, cost = self._best_rotations(self._normal_fields(v[None]), flow, information)
+        w, cost = self._best_rotations(self._normal_fields(v[None]), flow, information, known)
         return w[0], float(cost[0])
 
-    def rotation(self, flow: Array, information: Array) -> tuple[Array, float]:
+    def rotation(
+        self, flow: Array, information: Array, known: Rotation = _UNKNOWN
+    ) -> tuple[Array, float]:
         """Fit the pure rotation that explains a flow best.
 
         Args:
-            flow, information: as in `search`.
+            flow, information, known: as in `search`.
 
         Returns:
             w (3,) rad per window, and the robust cost, comparable to those of `search`.
         """
         return constraints.best_rotation(
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
-            2 * _REWEIGHTINGS,
+            2 * _REWEIGHTINGS, *known,
         )  # fmt: skip
 
     def _counted(self, information: Array) -> Array:
         return self.usable[:, None, None] * information
 
-    def turning(self, flow: Array, information: Array, v: Array) -> float:
-        """Measure by Wald's statistic whether the camera turns at all.
+    def refine(self, flow: Array, information: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Fit a constant motion to a flow from a direction on: robust least squares.
 
         Args:
             flow, information: as in `search`.
-            v: (3,) unit direction, where the robust fit of the motion (w, v) to the flow starts.
+            v: (3,) unit direction to start from.
 
         Returns:
-            w^T C^-1 w / 3 with the covariance C of the fitted w, v unknown: 1 on average for a
-            camera that does not turn.
+            w (3,) rad per window, v (3,) unit, and the information (6, 6) on both; v's length,
+            which nobody knows, counts as known.
         """
         all_times = np.repeat(flow[:, None], len(self._basis), axis=1)
         w, matrix = np.zeros(3), np.eye(6)
@@ -223,6 +233,19 @@ class NodeEpipolar:
             step = -np.linalg.solve(matrix, weighted.T @ r)[:, 0]
             w, v = w + step[:3], v + step[3:]
             v = v / np.linalg.norm(v)
+        return w, v, matrix
+
+    def turning(self, flow: Array, information: Array, v: Array) -> float:
+        """Measure by Wald's statistic whether the camera turns at all.
+
+        Args:
+            flow, information, v: as in `refine`.
+
+        Returns:
+            w^T C^-1 w / 3 with the covariance C of the fitted w, v unknown: 1 on average for a
+            camera that does not turn.
+        """
+        w, _, matrix = self.refine(flow, information, v)
         of_w = matrix[:3, :3] - matrix[:3, 3:] @ np.linalg.solve(matrix[3:, 3:], matrix[3:, :3])
         return float(w @ of_w @ w) / 3
 
@@ -233,13 +256,13 @@ class NodeEpipolar:
         return np.stack([-line[..., 1], line[..., 0]], -1) / norm
 
     def _best_rotations(
-        self, normal: Array, flow: Array, information: Array
+        self, normal: Array, flow: Array, information: Array, known: Rotation
     ) -> tuple[Array, Array]:
         """Fit w (M, 3) for each field of normals (M, nodes, 2); costs (M,)."""
         w, cost = np.empty((len(normal), 3)), np.empty(len(normal))
         constraints.best_rotations(
             normal, self.b, flow, self._counted(information), self.inlier_px, _REWEIGHTINGS,
-            w, cost,
+            *known, w, cost,
         )  # fmt: skip
         return w, cost
 

@@ -5,6 +5,7 @@ from functools import partial
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimator
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_windows import MotionWindows
 
@@ -19,7 +20,7 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
         InputError: the configuration asks for a device that is not there.
     """
     if isinstance(config.estimator, LatticeConfig):
-        estimator = _make_lattice_estimator(camera, config.estimator)
+        estimator = _make_lattice_estimator(camera, config.estimator, config.imu)
     else:
         from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 
@@ -29,14 +30,14 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
     return MotionWindows(estimator, camera, config.window)
 
 
-def _make_lattice_estimator(camera: Camera, config: LatticeConfig) -> Estimator:
+def _make_lattice_estimator(camera: Camera, config: LatticeConfig, imu: GyroConfig) -> Estimator:
     from emoflow_ros.core.lattice_estimator import LatticeEstimator
 
     if config.device == "cpu":
-        return LatticeEstimator(camera, config)
+        return LatticeEstimator(camera, config, imu=imu)
     from emoflow_ros.core.contrast_torch import TorchContrast
     from emoflow_ros.core.device import require_cuda
 
     require_cuda()
     make_contrast = partial(TorchContrast, device=config.device, capacity=config.max_events)
-    return LatticeEstimator(camera, config, make_contrast)
+    return LatticeEstimator(camera, config, make_contrast, imu)

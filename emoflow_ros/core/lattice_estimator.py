@@ -16,6 +16,9 @@ from emoflow_ros.core.contrast import (
 )
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.gyro_config import GyroConfig
+from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
@@ -27,6 +30,7 @@ from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
 from emoflow_ros.core.warm_flow import best_start, is_lost
 from emoflow_ros.core.windows import Window
+from emoflow_ros.core.working_image import WorkingImage
 
 Array = NDArray[np.float64]
 
@@ -48,17 +52,23 @@ class LatticeEstimator:
         camera: with its lens.
         config: see LatticeConfig.
         make_contrast: where the contrast is computed.
+        imu: how good the gyro is whose readings the windows bring.
     """
 
     def __init__(
-        self, camera: Camera, config: LatticeConfig, make_contrast: ContrastFactory = Contrast
+        self,
+        camera: Camera,
+        config: LatticeConfig,
+        make_contrast: ContrastFactory = Contrast,
+        imu: GyroConfig | None = None,
     ) -> None:
-        self.camera = camera
         self.config = config
-        self.lattice = Lattice.with_spacing(camera.width, camera.height, config.spacing_px)
-        self._epipolar = NodeEpipolar(camera, self.lattice, config.dec_inlier_px)
+        self._image = WorkingImage.of(camera)
+        self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
+        self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         self._uncertainty = MotionUncertainty(self.lattice, self._epipolar)
+        self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
         self.reset()
@@ -77,15 +87,23 @@ class LatticeEstimator:
     def _estimate(self, window: Window) -> Estimate:
         self._started = time.perf_counter()
         self._iterations = 0
-        events = prepare(window, self.camera, self.config)
+        events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
+        measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
+        self._fit.known = None
+        if measurement is not None:
+            self._fit.known = KnownRotation.measured(measurement, window.duration)
         last = self._last
         warm = last is not None and last.reaches(window)
         try:
             if warm and last is not None:
                 coarse = self._fit.contrasts[0.25]
-                self._fit.flow = best_start(coarse, events, last.flows(window))
+                flows = last.flows(window)
+                if self._fit.known is not None:
+                    turned = last.rotation(window)
+                    flows += [self._fit.turned(flow, turned) for flow in flows]
+                self._fit.flow = best_start(coarse, events, flows)
                 stop = self._fit_warm(events, last.predict(self._fit, window))
                 # A cold fit takes longer than any deadline leaves.
                 warm = self._late() or not is_lost(coarse, events, self._fit.flow)
@@ -95,6 +113,8 @@ class LatticeEstimator:
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
+            if window.gyro is not None:
+                self._teach_gyro(window)
             result = self._result(window, len(events), stop, gain, warm)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
@@ -106,8 +126,12 @@ class LatticeEstimator:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""
         fit = self._fit
         few = events.every(max(1, len(events) // _SEARCH_EVENTS))
-        fit.flow = np.zeros(self.lattice.shape, np.float32)
-        fit.flow += best_constant_flow(fit.contrasts[0.25], few, _SEARCH_REACH_PX)
+        still = np.zeros(self.lattice.shape, np.float32)
+        constant = still + best_constant_flow(fit.contrasts[0.25], few, _SEARCH_REACH_PX)
+        fit.flow = constant
+        if fit.known is not None:
+            turned = fit.turned(still, np.zeros(3))
+            fit.flow = best_start(fit.contrasts[0.25], events, [constant, turned])
         fit.motion = None
         fit.structure = None
         fit.straight = False
@@ -120,7 +144,7 @@ class LatticeEstimator:
         if self._is_confined():  # refused below: what costs most is spared
             return "confined"
         free = fit.free_flow()
-        v, w, cost = self._epipolar.search(free.flow, free.information)
+        v, w, cost = self._epipolar.search(*free.evidence)
         best = int(cost.argmin())
         fit.motion = Motion.constant(w[best], v[best])
         self._select(free, v[best], w[best])
@@ -131,7 +155,7 @@ class LatticeEstimator:
         fit = self._fit
         fit.step_px = np.inf
         few = events.every(max(1, len(events) // _COARSE_EVENTS))
-        for scale, steps in ((0.25, 2), (0.5, 1)):
+        for scale, steps in ((0.25, 2), (0.5, 1)) if fit.known is None else ((0.5, 1),):
             for _ in range(steps):
                 if self._late():
                     break
@@ -182,24 +206,25 @@ class LatticeEstimator:
         """
         fit = self._fit
         assert fit.motion is not None
+        self._free = free
         present = fit.motion.at(0.5)[1]
-        w, cost = self._epipolar.score(present, free.flow, free.information)
-        directions, rotations, costs = self._epipolar.search(free.flow, free.information)
+        w, cost = self._epipolar.score(present, *free.evidence)
+        directions, rotations, costs = self._epipolar.search(*free.evidence)
         if prior is not None:
             # A motion that puts part of the scene behind the camera has not proved itself.
             doubt = (1 - abs(self._selector.agreement)) / _DOUBT
             costs = costs + max(0.0, 1 - doubt) * prior.surprise(directions)
-        self._uncertainty.weigh_others(
-            (fit.motion.at(0.5)[0], present), rotations, directions, costs - cost
-        )
         best = int(costs.argmin())
         before = self._selector.model
         rotates = before is MotionModel.ROTATION  # whose v is but a guess, held ready
         switch = costs[best] < (1.0 if rotates else _SWITCH) * cost
+        middle = fit.motion.at(0.5)[0]
         if switch:
             v = directions[best]
             present = v if v @ present >= 0 else -v
-            w = rotations[best]
+            w, cost = rotations[best], costs[best]
+            middle = w
+        self._uncertainty.weigh_others((middle, present), rotations, directions, costs - cost)
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()
@@ -217,7 +242,7 @@ class LatticeEstimator:
         self._fit.front = float(np.sign(agreement)) if abs(agreement) > _ON_ONE_SIDE else 0.0
         self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
-            self._fit.start_rotation(self._epipolar.rotation(free.flow, free.information)[0])
+            self._fit.start_rotation(self._epipolar.rotation(*free.evidence)[0])
         return after
 
     def _is_confined(self) -> bool:
@@ -231,6 +256,7 @@ class LatticeEstimator:
         model = self._selector.model
         travels = model is not MotionModel.ROTATION
         w, v = fit.motion.at(0.5)
+        bend = fit.known.bend if fit.known is not None else np.zeros(3)
         belief = fit.belief(window)
         flow = fit.node_flow.mean(axis=1)
         structure = Structure.observe(self._epipolar, flow, (w, v), fit.evidence, fit.structure)
@@ -245,6 +271,7 @@ class LatticeEstimator:
         front = np.copysign(1.0, self._selector.agreement) if travels else 0.0
         residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
+        lattice, field = self._image.on_sensor(self.lattice, fit.flow)
         return Estimate(
             window.t_start,
             window.t_end,
@@ -255,26 +282,38 @@ class LatticeEstimator:
                 iterations=self._iterations,
                 stop_reason=stop,
                 contrast_gain=gain,
-                residual_px=scale,
+                residual_px=scale * float(self._image.sensor_px.max()),
                 inlier_fraction=float(np.mean(np.abs(residual) <= 3 * scale)),
                 runtime_s=time.perf_counter() - self._started,
                 warm=warm,
             ),
             model,
             front * v,
-            w / window.duration,
+            (w + bend) / window.duration,
             covariance,
-            LatticeFlow(self.lattice, fit.flow, window.t_start, window.t_end),
+            LatticeFlow(lattice, field, window.t_start, window.t_end),
             SplineMotion(
                 window.t_start, window.t_end, fit.motion.w / window.duration, front * fit.motion.v
             ),
+            self._gyro.status,
         )
+
+    def _teach_gyro(self, window: Window) -> None:
+        """Let the gyro learn its bias from the rotation that the events alone tell."""
+        motion = self._fit.motion
+        assert motion is not None
+        travels = self._selector.model is not MotionModel.ROTATION
+        v = motion.at(0.5)[1] if travels else None
+        w, covariance = self._uncertainty.of_events(self._free.flow, self._free.information, v)
+        if self._fit.known is not None:
+            w = w + self._fit.known.bend
+        self._gyro.learn(w / window.duration, covariance / window.duration**2)
 
     def _covariance(self, belief: Belief, flow: Array, duration: float, travels: bool) -> Array:
         if self.config.model == "translation":
             return belief.across()  # that the camera does not turn is known
         uncertainty = self._uncertainty.of_travel if travels else self._uncertainty.of_rotation
-        return uncertainty(belief, flow, self._fit.evidence, duration)
+        return uncertainty(belief, flow, self._fit.evidence, duration, self._fit.known)
 
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")
@@ -289,4 +328,6 @@ class LatticeEstimator:
             runtime_s=time.perf_counter() - self._started,
         )
         middle = (window.t_start + window.t_end) // 2
-        return Estimate(window.t_start, window.t_end, middle, status, quality)
+        return Estimate(
+            window.t_start, window.t_end, middle, status, quality, gyro=self._gyro.status
+        )

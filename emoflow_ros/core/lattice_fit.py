@@ -7,7 +7,14 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
 from emoflow_ros.core.contrast import Contrast, ContrastFactory, WindowEvents
-from emoflow_ros.core.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar, Residuals
+from emoflow_ros.core.egomotion import (
+    MOTION_UNKNOWNS,
+    Motion,
+    NodeEpipolar,
+    Residuals,
+    Rotation,
+)
+from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
@@ -76,10 +83,18 @@ class FreeFlow:
     Attributes:
         flow: (nodes, 2) px per window, the mean over the window.
         information: (nodes, 2, 2) of the events on it.
+        known: what else is known of w, its mean over the window in rad, or None.
     """
 
     flow: Array
     information: Array
+    known: Rotation | None = None
+
+    @property
+    def evidence(self) -> tuple[Array, Array] | tuple[Array, Array, Rotation]:
+        """All of it, as NodeEpipolar takes it."""
+        seen = self.flow, self.information
+        return seen if self.known is None else (*seen, self.known)
 
 
 class LatticeFit:
@@ -89,6 +104,7 @@ class LatticeFit:
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion, or None before the flow is good enough to look for it.
         structure: inverse depths known from earlier windows, or None.
+        known: what a gyro says about the window's rotation, or None.
         straight: whether the motion is a pure translation.
         front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along
             -v, 0 if that is not known.
@@ -112,6 +128,7 @@ class LatticeFit:
         self.flow = np.zeros(lattice.shape, np.float32)
         self.motion: Motion | None = None
         self.structure: Structure | None = None
+        self.known: KnownRotation | None = None
         self.straight = False
         self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
@@ -157,11 +174,20 @@ class LatticeFit:
     def free_flow(self) -> FreeFlow:
         """Solve the present normal equations without the epipolar constraint."""
         step = self._equations.solve().reshape(-1, self.lattice.times, 2)
-        return FreeFlow((self.node_flow + step).mean(axis=1), self.evidence)
+        known = (self.known.mean, self.known.information) if self.known is not None else None
+        return FreeFlow((self.node_flow + step).mean(axis=1), self.evidence, known)
 
     def step_free(self) -> None:
         """Step the flow by contrast and smoothness alone."""
         self._move(self._equations.solve())
+
+    def turned(self, flow: NDArray[np.float32], w: Array) -> NDArray[np.float32]:
+        """Replace the rotation w (3,), rad per window, in a flow by what is known of it."""
+        if self.known is None:
+            return flow
+        points = self.known.control_points() - w
+        change = self.epipolar.rotational_flow(Motion(points, np.ones_like(points)))
+        return (flow + change.reshape(flow.shape)).astype(np.float32)
 
     def start_rotation(self, w: Array) -> None:
         """Begin anew from the flow of a pure rotation w (3,), rad per window."""
@@ -188,6 +214,8 @@ class LatticeFit:
         roughness = self._roughness * self._rotation_stiffness
         equations.corner[:half, :half] += roughness
         equations.corner_vector[:half] -= roughness @ motion.w.ravel()
+        if self.known is not None:
+            self.known.add_to(motion.w, equations.corner, equations.corner_vector)
         equations.corner[half:, half:] = np.eye(MOTION_UNKNOWNS - half)  # v is not asked for
         step, change, self.information = equations.solve_bordered()
         self.motion = motion.moved(change)
@@ -257,6 +285,8 @@ class LatticeFit:
             present = TO_MIDDLE[:, :-1] @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
             corner += TO_MIDDLE.T @ prior.information @ TO_MIDDLE
             corner_vector -= TO_MIDDLE.T @ prior.information @ (present - prior.mean)
+        if self.known is not None:
+            self.known.add_to(motion.w, corner, corner_vector)
         diagonal = np.diag_indices_from(corner)
         corner[diagonal] += 1e-6 * corner[diagonal] + 1e-9
 

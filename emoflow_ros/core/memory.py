@@ -1,6 +1,6 @@
 """What a window leaves to the next one: the warm start."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,11 @@ class Memory:
         slopes = [share * change * nodes[:, None] for share in _EXTRAPOLATIONS]
         return [((mean + slope) * ratio).astype(np.float32) for slope in slopes]
 
+    def rotation(self, window: Window) -> NDArray[np.float64]:
+        """Angular velocity (3,) of this window, in rad per a later window."""
+        ratio, _ = self._scale(window)
+        return self.motion.at(0.5)[0] * ratio
+
     def predict(self, fit: LatticeFit, window: Window) -> MotionPrior | None:
         """Set motion and structure of a fit to what a later window is expected to show.
 
@@ -59,6 +64,8 @@ class Memory:
         mean = self.flow.mean(axis=2, keepdims=True)
         w, v = self.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v, speed=ratio)
+        if fit.known is not None:
+            fit.motion = replace(fit.motion, w=fit.known.control_points())
         config = fit.config
         fit.structure = self.structure and self.structure.predict(
             fit.lattice,

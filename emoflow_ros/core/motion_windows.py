@@ -5,6 +5,7 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.windows import Window, WindowPolicy
+from emoflow_ros.core.working_image import reduction
 
 _GRID_PX = 16  # between the pixels whose displacement counts
 _STILL_PX = 1e-3
@@ -33,12 +34,13 @@ class MotionWindows:
     Args:
         estimator: of the parts.
         camera: whose pixels are displaced.
-        policy: max_displacement_px and min_count.
+        policy: max_displacement_px, in pixels of the working image, and min_count.
     """
 
     def __init__(self, estimator: Estimator, camera: Camera, policy: WindowPolicy) -> None:
         self._estimator = estimator
         self._policy = policy
+        self._longest_px = policy.max_displacement_px * reduction(camera)
         columns = np.arange(_GRID_PX // 2, camera.width, _GRID_PX)
         rows = np.arange(_GRID_PX // 2, camera.height, _GRID_PX)
         self._grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(float)
@@ -90,7 +92,7 @@ class MotionWindows:
     def _next_count(self, estimate: Estimate, part: Window, window: Window) -> int:
         if estimate.status is Status.OK and estimate.flow is not None:
             moved = max(_STILL_PX, self._displacement(estimate.flow, part))
-            return round(len(part.events) * self._policy.max_displacement_px / moved)
+            return round(len(part.events) * self._longest_px / moved)
         return 0 if part is window else 2 * len(part.events)
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:

@@ -67,8 +67,8 @@ class ModelSelector:
         evidence = epipolar.usable * np.trace(free.information, axis1=1, axis2=2)
         flow = np.einsum("nij,nj->ni", epipolar.to_bearing, free.flow)
         agreement = cheirality(epipolar.bearings, flow, v, w, evidence)
-        rotation, rotation_cost = epipolar.rotation(free.flow, free.information)
-        _, full_cost = epipolar.score(v, free.flow, free.information)
+        rotation, rotation_cost = epipolar.rotation(*free.evidence)
+        _, full_cost = epipolar.score(v, *free.evidence)
         left = _evident_norm(free.flow - epipolar.b @ rotation, free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
@@ -97,7 +97,7 @@ class ModelSelector:
         bound = _TURNING if self.model is MotionModel.TRANSLATION else _STRAIGHT
         if rotates:
             self.model = MotionModel.ROTATION
-        elif self.windows >= _SETTLED and self.turning < bound:
+        elif self.windows >= _SETTLED and self.turning < bound and free.known is None:
             self.model = MotionModel.TRANSLATION
         else:
             self.model = MotionModel.FULL

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
@@ -66,7 +67,14 @@ class MotionUncertainty:
         self._likely = _second_moment(apart, np.exp(-excess / _LIKELY))
         self._possible = _second_moment(apart, np.exp(-excess / _POSSIBLE))
 
-    def of_travel(self, belief: Belief, flow: Array, information: Array, duration: float) -> Array:
+    def of_travel(
+        self,
+        belief: Belief,
+        flow: Array,
+        information: Array,
+        duration: float,
+        known: KnownRotation | None = None,
+    ) -> Array:
         """Covariance (6, 6) of (v, w), v across its direction, in rad/s for w.
 
         Args:
@@ -74,19 +82,12 @@ class MotionUncertainty:
             flow: (nodes, 2) px per window.
             information: (nodes, 2, 2) of the events on it.
             duration: of the window, s.
+            known: what a gyro says.
         """
-        motion = Motion.constant(belief.w * duration, belief.v)
-        residuals = self._epipolar.residuals(flow[:, None], motion)
-        normal, r = residuals.by_flow[:, 0], residuals.r[:, 0]
-        rows = residuals.constant_motion
-        weight = np.einsum("ni,nij,nj->n", normal, information, normal)
-        weight *= self._epipolar.robust_weight(r[:, None])[:, 0] / INFORMATION_EXCESS
-        matrix = np.einsum("n,ni,nj->ij", weight, rows, rows)
         v = belief.v
-        matrix[3:, 3:] += np.trace(matrix[3:, 3:]) * np.outer(v, v)  # its length is unknown
-        response = np.einsum("n,ni,nj,njm->im", weight, rows, normal, self._modes)
+        matrix, response = self._seen(Motion.constant(belief.w * duration, v), flow, information)
         others = self._likely if self.claims_travel else self._possible
-        covariance = self._of_bias(matrix, response, flow) + others
+        covariance = self._of_bias(_with(matrix, known), response, flow) + others
         scale = np.eye(6)
         scale[:3, :3] /= duration
         scale[3:, 3:] -= np.outer(v, v)
@@ -94,21 +95,66 @@ class MotionUncertainty:
         return belief.across() + covariance[np.ix_(_ROS_ORDER, _ROS_ORDER)]
 
     def of_rotation(
-        self, belief: Belief, flow: Array, information: Array, duration: float
+        self,
+        belief: Belief,
+        flow: Array,
+        information: Array,
+        duration: float,
+        known: KnownRotation | None = None,
     ) -> Array:
         """Covariance (6, 6) of a camera that only turns: that of w, and -1 first for no v.
 
         Args:
-            belief, flow, information, duration: as in `of_travel`.
+            belief, flow, information, duration, known: as in `of_travel`.
         """
+        matrix, response = self._turning(information)
+        covariance = without_travel(belief.across())
+        covariance[3:, 3:] += self._of_bias(_with(matrix, known), response, flow) / duration**2
+        return covariance
+
+    def of_events(self, flow: Array, information: Array, v: Array | None) -> tuple[Array, Array]:
+        """Angular velocity that the events of one window tell by themselves.
+
+        Args:
+            flow: (nodes, 2) px per window, without the epipolar constraint.
+            information: (nodes, 2, 2) of the events on it.
+            v: (3,) unit direction of travel to start from; None for a camera that only turns.
+
+        Returns:
+            w (3,) rad per window and its covariance (3, 3).
+        """
+        if v is None:
+            w, _ = self._epipolar.rotation(flow, information)
+            matrix, response = self._turning(information)
+        else:
+            w, v, _ = self._epipolar.refine(flow, information / INFORMATION_EXCESS, v)
+            matrix, response = self._seen(Motion.constant(w, v), flow, information)
+        regular = matrix + 1e-9 * np.trace(matrix) * np.eye(len(matrix))
+        covariance = np.linalg.inv(regular) + self._of_bias(matrix, response, flow)
+        return w, covariance[:3, :3]
+
+    def _seen(self, motion: Motion, flow: Array, information: Array) -> tuple[Array, Array]:
+        """Information (6, 6) of the events on a constant motion (w, v), and its response.
+
+        The response (6, modes) is to the modes of the flow's error.
+        """
+        residuals = self._epipolar.residuals(flow[:, None], motion)
+        normal, r = residuals.by_flow[:, 0], residuals.r[:, 0]
+        rows = residuals.constant_motion
+        weight = np.einsum("ni,nij,nj->n", normal, information, normal)
+        weight *= self._epipolar.robust_weight(r[:, None])[:, 0] / INFORMATION_EXCESS
+        matrix = np.einsum("n,ni,nj->ij", weight, rows, rows)
+        v = motion.at(0.5)[1]
+        matrix[3:, 3:] += np.trace(matrix[3:, 3:]) * np.outer(v, v)  # its length is unknown
+        return matrix, np.einsum("n,ni,nj,njm->im", weight, rows, normal, self._modes)
+
+    def _turning(self, information: Array) -> tuple[Array, Array]:
+        """As `_seen`, of a camera that only turns: (3, 3) and (3, modes)."""
         b, usable = self._epipolar.b, self._epipolar.usable
         weighted = np.einsum("nij,njk->nik", information, b) * usable[:, None, None]
         weighted /= INFORMATION_EXCESS
         matrix = np.einsum("nij,nik->jk", b, weighted)
-        response = np.einsum("nij,nim->jm", weighted, self._modes)
-        covariance = without_travel(belief.across())
-        covariance[3:, 3:] += self._of_bias(matrix, response, flow) / duration**2
-        return covariance
+        return matrix, np.einsum("nij,nim->jm", weighted, self._modes)
 
     def _of_bias(self, matrix: Array, response: Array, flow: Array) -> Array:
         """Propagate the flow's smooth error: the motion's normal matrix and response to it."""
@@ -126,6 +172,15 @@ class MotionUncertainty:
         ]
         roughness = np.sqrt(np.mean([np.mean((z**2).sum(axis=-1)) for z in second]))
         return _BIAS_PX + _BIAS_OF_ROUGHNESS * float(roughness)
+
+
+def _with(matrix: Array, known: KnownRotation | None) -> Array:
+    """Add what a gyro says about w to the information (M, M) of the events, w first."""
+    if known is None:
+        return matrix
+    sum_ = matrix.copy()
+    sum_[:3, :3] += known.information / INFORMATION_EXCESS
+    return sum_
 
 
 def without_travel(covariance: Array) -> Array:

@@ -1,10 +1,14 @@
 """Runs the node until its end is asked for: the executable `estimator` after its imports."""
 
 import argparse
+import contextlib
+from collections.abc import Callable
 
 import rclpy
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
 from emoflow_ros.cli import run
@@ -61,17 +65,43 @@ def parser() -> argparse.ArgumentParser:
     )
 
 
+def spin_until_asked(node: Node, give_end: Callable[[Callable[[], None]], None]) -> None:
+    """Run a node's callbacks until the end is asked for.
+
+    rclpy's spin_until_future_complete keeps a function for every callback that it has run.
+
+    Args:
+        node: whose callbacks are run.
+        give_end: gets the function that asks for the end, from any thread.
+    """
+    is_asked = False
+
+    def end() -> None:
+        nonlocal is_asked
+        is_asked = True
+
+    wish = node.create_guard_condition(end)
+
+    def ask() -> None:
+        with contextlib.suppress(InvalidHandle):  # the node is gone already
+            wish.trigger()
+
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    give_end(ask)
+    while not is_asked:
+        executor.spin_once()
+
+
 def _main(ending: Ending, factory: str) -> int:
     parser().parse_args(own_arguments())
     ending.imported()
     node = None
-    end = Future()
     try:
         with refused_in_one_line():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = EstimatorNode(factory)
-        ending.in_order(lambda: end.set_result(None))
-        rclpy.spin_until_future_complete(node, end)
+        spin_until_asked(node, ending.in_order)
     finally:
         if node is not None:
             node.destroy_node()

@@ -16,6 +16,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from dvs_msgs.msg import EventArray
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -93,6 +94,7 @@ class Peer:
         self.diagnostics: list[DiagnosticArray] = []
         self.images: list[Image] = []
         self._camera_timer: Timer | None = None
+        self._clients: dict[str, Client] = {}
         self._subscribe(TwistStamped, "/egomotion/twist", self.twists)
         self._subscribe(
             TwistWithCovarianceStamped, "/egomotion/twist_with_covariance", self.covariances
@@ -167,11 +169,12 @@ class Peer:
 
     def call(self, service_type: Any, name: str, **request: Any) -> Any:
         """Call a service of the node under test."""
-        client = self.node.create_client(service_type, name)
+        if name not in self._clients:  # to be found by the node takes longer than an answer
+            self._clients[name] = self.node.create_client(service_type, name)
+        client = self._clients[name]
         self.spin_until(client.service_is_ready, f"service {name}")
         answer = client.call_async(service_type.Request(**request))
         self.spin_until(answer.done, f"answer of {name}")
-        self.node.destroy_client(client)
         return answer.result()
 
     def status(self) -> dict[str, str]:

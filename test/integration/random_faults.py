@@ -33,6 +33,7 @@ PARAMETERS = (
     "window.duration_ms:=20.0",
     "input.timestamps:=sensor",
     "output.diagnostics_s:=0.2",
+    "output.timeout_s:=60.0",  # a stopped worker is not replaced, also on a busy machine
 )
 # Middles of windows differ by whole ms within an epoch, and by this from those of others.
 _PHASE_NS = 100
@@ -148,7 +149,10 @@ class Script:
 
     def kill_worker(self) -> None:
         self._peer.spin_until(lambda: len(self._workers()) == 1, "a worker")
-        os.kill(self._workers()[0], signal.SIGKILL)
+        [worker] = self._workers()
+        os.kill(worker, signal.SIGKILL)
+        # What comes next must not take it for its successor.
+        self._peer.spin_until(lambda: worker not in self._workers(), "its end")
 
     def stop_worker(self) -> None:
         """Stop it for longer than windows can wait, and let it go on."""

@@ -62,6 +62,9 @@ def test_incompatible_qos_is_said_with_both_sides(peer: Peer, processes: Process
     )
     peer.spin_until(lambda: said in processes.output(node), "the reason")
     assert peer.events.get_subscription_count() == 0
+    peer.spin_until(
+        lambda: peer.node.get_subscriptions_info_by_topic("/events"), "it is seen to subscribe"
+    )
     [subscription] = peer.node.get_subscriptions_info_by_topic("/events")
     assert subscription.qos_profile.reliability.name == "RELIABLE"  # the override is honoured
 

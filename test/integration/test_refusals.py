@@ -9,6 +9,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from repeated import results
 from shared_node import SharedNode
 
 from emoflow_ros.core.camera import Camera
@@ -24,45 +25,47 @@ def run_windows(peer: Peer, first_ms: int, last_ms: int, camera: Camera = CAMERA
         peer.publish_events(t * MS, camera=camera)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (
-            ["-p", "window.duration_ms:=-5.0"],
-            "error: window.duration_ms: -5.0 is out of range; use 1 to 10000",
-        ),
-        (
-            ["-p", "window.durations_ms:=5.0"],
-            "error: window.durations_ms: no such option, the nearest is window.duration_ms; known",
-        ),
-        (
-            ["-p", "input.type:=dvs_msgs/EventArray"],
-            "error: input.type: messages of type 'dvs_msgs/EventArray' hold no events; use one of",
-        ),
-        (
-            ["-p", "camera.calibration_file:=/nowhere.yaml"],
-            "error: /nowhere.yaml: no such file or directory; give a calibration file",
-        ),
-        (["-p", "profile:=warp"], "error: profile: unknown profile 'warp'; use one of"),
-        (["-p", "use_sim_time:=foo"], "error: use_sim_time: 'foo' is not of type bool; correct"),
-        (["-p", "nocolon"], "error: -p nocolon: not of the form NAME:=VALUE; write -p NAME:=VALUE"),
-    ],
-)
-def test_bad_parameters_are_refused_in_one_line(
-    processes: Processes, arguments: list[str], line: str
-) -> None:
-    node = processes.start_fake("Recorder", *arguments)
-    assert node.wait(WAIT_S) == 2
-    [said] = processes.output(node).splitlines()
-    assert said.startswith(line)
+REFUSALS = [
+    (
+        ["-p", "window.duration_ms:=-5.0"],
+        "error: window.duration_ms: -5.0 is out of range; use 1 to 10000",
+    ),
+    (
+        ["-p", "window.durations_ms:=5.0"],
+        "error: window.durations_ms: no such option, the nearest is window.duration_ms; known",
+    ),
+    (
+        ["-p", "input.type:=dvs_msgs/EventArray"],
+        "error: input.type: messages of type 'dvs_msgs/EventArray' hold no events; use one of",
+    ),
+    (
+        ["-p", "camera.calibration_file:=/nowhere.yaml"],
+        "error: /nowhere.yaml: no such file or directory; give a calibration file",
+    ),
+    (["-p", "profile:=warp"], "error: profile: unknown profile 'warp'; use one of"),
+    (["-p", "use_sim_time:=foo"], "error: use_sim_time: 'foo' is not of type bool; correct"),
+    (["-p", "nocolon"], "error: -p nocolon: not of the form NAME:=VALUE; write -p NAME:=VALUE"),
+]
 
 
-def test_file_that_is_not_yaml_is_refused_in_one_line(processes: Processes, tmp_path: Path) -> None:
+def refusals(*arguments: list[str]) -> list[str]:
+    """The single line that the node says to each of these arguments."""
+    given = [["--ros-args", *some] for some in arguments]
+    found = results("emoflow_ros.node.executable:main", given)
+    assert [code for code, _ in found] == [2] * len(given), found
+    return [said for _, [said] in found]
+
+
+def test_bad_parameters_are_refused_in_one_line() -> None:
+    said = refusals(*(arguments for arguments, _ in REFUSALS))
+    for found, (_, line) in zip(said, REFUSALS, strict=True):
+        assert found.startswith(line)
+
+
+def test_file_that_is_not_yaml_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "broken.yaml"
     path.write_text("estimator: [1\n  ros__parameters: 2\n")
-    node = processes.start_fake("Recorder", "--params-file", str(path))
-    assert node.wait(WAIT_S) == 2
-    [said] = processes.output(node).splitlines()
+    [said] = refusals(["--params-file", str(path)])
     assert said.startswith(f"error: --params-file {path}: holds no parameters (")
     assert said.endswith("give a YAML file of ROS parameters, as `ros2 param dump` writes it")
 

@@ -3,13 +3,14 @@
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 from harness import MS, WAIT_S, Peer, Processes, contention, wait_for
+from repeated import results
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosgraph_msgs.msg import Clock
@@ -171,37 +172,34 @@ def no_bag(folder: Path, good: Path) -> Path:
     return folder / "text.bag"
 
 
-@pytest.mark.parametrize("make", [missing, empty, truncated, no_bag])
-def test_bad_bag_is_one_line(
-    processes: Processes, bags: Path, tmp_path: Path, make: Callable[[Path, Path], Path]
-) -> None:
-    path = make(tmp_path, bags / "ros1.bag")
-    replay = processes.start(*REPLAY, str(path))
-    assert replay.wait(WAIT_S) == 2
-    lines = processes.output(replay).strip().splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith(f"error: {path}: ")
+def refusals(*arguments: Sequence[str]) -> list[str]:
+    """The single line that `replay` says to each of these arguments."""
+    found = results("emoflow_ros.offline.replay:main", arguments)
+    assert [code for code, _ in found] == [2] * len(arguments), found
+    return [said for _, [said] in found]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (("--topics", "/odd"), "no topic /odd; the bag holds /davis/left/camera_info, "),
-        (("--rate", "0"), "error: --rate: 0; give a rate in [0.001, 1000]"),
-        (("--ros-args", "-r", "bad"), "error: -r bad: not of the form FROM:=TO with two ROS names"),
-        (
-            ("--ros-args", "-p", "use_sim_time:=foo"),
-            "error: use_sim_time: 'foo' is not of type bool",
-        ),
-    ],
-)
-def test_bad_argument_is_one_line(
-    processes: Processes, bags: Path, arguments: tuple[str, ...], line: str
-) -> None:
-    replay = processes.start(*REPLAY, str(bags / "ros1.bag"), *arguments)
-    assert replay.wait(WAIT_S) == 2
-    assert line in processes.output(replay).strip()
-    assert len(processes.output(replay).strip().splitlines()) == 1
+def test_bad_bag_is_one_line(bags: Path, tmp_path: Path) -> None:
+    paths = [make(tmp_path, bags / "ros1.bag") for make in (missing, empty, truncated, no_bag)]
+    for path, said in zip(paths, refusals(*([str(path)] for path in paths)), strict=True):
+        assert said.startswith(f"error: {path}: ")
+
+
+BAD_ARGUMENTS = [
+    (("--topics", "/odd"), "no topic /odd; the bag holds /davis/left/camera_info, "),
+    (("--rate", "0"), "error: --rate: 0; give a rate in [0.001, 1000]"),
+    (("--ros-args", "-r", "bad"), "error: -r bad: not of the form FROM:=TO with two ROS names"),
+    (
+        ("--ros-args", "-p", "use_sim_time:=foo"),
+        "error: use_sim_time: 'foo' is not of type bool",
+    ),
+]
+
+
+def test_bad_argument_is_one_line(bags: Path) -> None:
+    said = refusals(*((str(bags / "ros1.bag"), *arguments) for arguments, _ in BAD_ARGUMENTS))
+    for found, (_, line) in zip(said, BAD_ARGUMENTS, strict=True):
+        assert line in found
 
 
 def test_types_that_are_not_installed_are_left_out(processes: Processes, tmp_path: Path) -> None:

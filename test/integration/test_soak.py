@@ -24,7 +24,7 @@ SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 
 
 def few_and_many(few: int, many: int) -> list[object]:
-    return [few, pytest.param(many, marks=pytest.mark.soak)]
+    return [few, pytest.param(many, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
 
 
 def worker_of(pid: int) -> list[int]:
@@ -45,7 +45,6 @@ def resources(pid: int) -> tuple[int, int, int]:
 
 
 @pytest.mark.parametrize("times", few_and_many(10, 50))
-@pytest.mark.timeout(3600)
 def test_lifecycles_leak_nothing(peer: Peer, processes: Processes, times: int) -> None:
     node = processes.start_fake("Recorder", "-p", "autostart:=false")
     seen = []
@@ -69,7 +68,6 @@ def test_lifecycles_leak_nothing(peer: Peer, processes: Processes, times: int) -
 
 
 @pytest.mark.parametrize("times", few_and_many(3, 20))
-@pytest.mark.timeout(3600)
 def test_worker_killed_many_times(peer: Peer, recorder: SharedNode, times: int) -> None:
     recorder.start(peer)
     peer.connect()
@@ -87,7 +85,6 @@ def test_worker_killed_many_times(peer: Peer, recorder: SharedNode, times: int) 
 
 
 @pytest.mark.parametrize("windows", few_and_many(FEW_WINDOWS, OVERLOAD_WINDOWS))
-@pytest.mark.timeout(3600)
 def test_overload_keeps_latency_and_memory(peer: Peer, processes: Processes, windows: int) -> None:
     node = processes.start_fake("Slow", "-p", "input.queue_windows:=4")
     peer.connect()
@@ -100,6 +97,7 @@ def test_overload_keeps_latency_and_memory(peer: Peer, processes: Processes, win
         peer.spin_for(max(0.0, started + 0.01 * window - time.monotonic()))
         if window % 100 == 99:
             memory.append(resident_mb(node.pid))
+            peer.spin_until(lambda: "latency_p95_ms" in peer.status(), "a latency")
             assert float(peer.status()["latency_p95_ms"]) < 1000  # 4 wait, 50 ms each
     peer.spin_for(1.0)
     assert int(peer.status()["windows_dropped"]) > windows / 2
@@ -117,8 +115,7 @@ def test_overload_keeps_latency_and_memory(peer: Peer, processes: Processes, win
     assert peer.status()["windows_dropped"] == dropped
 
 
-@pytest.mark.parametrize("seconds", few_and_many(10, 600))
-@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seconds", few_and_many(4, 600))
 def test_two_nodes_in_namespaces_do_not_mix(processes: Processes, seconds: int) -> None:
     """Two cameras at once, of two sizes, with windows of 10 ms for as long as they last."""
     cameras = {"left": CAMERA, "right": SMALL}

@@ -13,7 +13,7 @@ from encoders import ENCODERS
 from msg_adapters import supported_types
 
 SCRIPT = Path(__file__).parent / "fuzz_decoders.py"
-INPUTS = 1000
+INPUTS = 400
 
 
 @pytest.mark.timeout(300)  # 10 s on an idle machine

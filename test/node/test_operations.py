@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ def table() -> list[list[str]]:
     return [cells(row) for row in rows[2:]]
 
 
+@cache
 def existing() -> set[str]:
     """Names of all tests of the node, alone and over DDS, of the core and of recordings."""
     folders = [ROOT / "test" / name for name in ("node", "integration", "core", "offline")]

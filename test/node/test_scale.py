@@ -1,6 +1,5 @@
 """The scale of a window, from parameters and over DDS from every type of speed message."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -29,7 +28,7 @@ class Peers:
 
     def __init__(self) -> None:
         self.context = Context()
-        rclpy.init(context=self.context, domain_id=10 + os.getpid() % 90)
+        rclpy.init(context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self.listener = rclpy.create_node("listener", context=self.context)
         self.talker = rclpy.create_node("talker", context=self.context)

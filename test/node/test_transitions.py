@@ -1,6 +1,5 @@
 """Lifecycle transitions that fail at each of their steps: what is left, and what is said."""
 
-import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -76,7 +75,7 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     context = Context()
-    rclpy.init(context=context, domain_id=10 + os.getpid() % 90)
+    rclpy.init(context=context)
     made = Bench(context, monkeypatch)
     yield made
     made.node.destroy_node()

@@ -51,6 +51,12 @@ def _simulated(tmp_path_factory, scene: str) -> OutputPaths:
 
 
 @pytest.fixture
+def without_page(monkeypatch):
+    """Leave the page of a report empty: it takes seconds to draw; report.json and the rest stay."""
+    monkeypatch.setattr("emoflow_ros.offline.report._html", lambda *_: "")
+
+
+@pytest.fixture
 def write_event_bag():
     return _write_event_bag
 

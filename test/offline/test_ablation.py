@@ -72,6 +72,7 @@ def test_start_on_a_simulated_recording(monkeypatch, capsys, tmp_path, calm_bag)
     assert "Ablation: start" in (out / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("without_page")
 @pytest.mark.parametrize(("name", "option"), [("huber", "dec_inlier_px"), ("losses", "dec_weight")])
 def test_parts_of_the_lattice_with_a_moving_object(monkeypatch, tmp_path, mover_bag, name, option):
     out = tmp_path / "out"
@@ -86,6 +87,7 @@ def test_parts_of_the_lattice_with_a_moving_object(monkeypatch, tmp_path, mover_
     assert without["epe_px"] != whole["epe_px"]
 
 
+@pytest.mark.usefixtures("without_page")
 @pytest.mark.parametrize("name", ["losses", "depth", "early_stop", "huber"])
 def test_tiny_network(monkeypatch, tmp_path, calm_bag, name):
     """Every ablation of the paper's method runs, on one window."""
@@ -103,6 +105,7 @@ def test_tiny_network(monkeypatch, tmp_path, calm_bag, name):
         assert [row["angular_rms_deg_s"] is None for row in rows] == [False, False, True]
 
 
+@pytest.mark.usefixtures("without_page")
 def test_interrupted_ablation_keeps_its_rows(monkeypatch, capsys, tmp_path, calm_bag):
     def stopped(*arguments, done=ablation.evaluate, **options):
         run = done(*arguments, **options)

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from emoflow_ros.offline import evaluate, evaluation
 from emoflow_ros.offline.estimates import read_estimates
@@ -36,6 +37,7 @@ def test_bag_to_report(monkeypatch, capsys, tmp_path, calm_bag):
     assert estimates.configuration["window.duration_ms"] == 135.0
 
 
+@pytest.mark.usefixtures("without_page")
 def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, calm_bag):
     """The real estimator's memory survives the checkpoint: bitwise the same estimates."""
     options = (calm_bag.data, "--window-ms", 60, "--stride-ms", 30, "--tracks", 20)
@@ -84,6 +86,7 @@ def test_tracks_follow_the_true_displacement(monkeypatch, tmp_path, calm_bag):
     np.testing.assert_array_equal(columns["track_times_ns"][:, -1], columns["t_end_ns"])
 
 
+@pytest.mark.usefixtures("without_page")
 def test_first_windows_alone(monkeypatch, tmp_path, calm_bag):
     out = tmp_path / "out"
     assert call(monkeypatch, calm_bag.data, "--max-windows", 2, "--out", out) == 0
@@ -98,6 +101,7 @@ def test_too_long_a_window(monkeypatch, capsys, tmp_path, calm_bag):
     assert "less than one window; give a shorter one with --window-ms" in error
 
 
+@pytest.mark.usefixtures("without_page")
 def test_mvsec_protocol_on_the_truths_stamps(monkeypatch, tmp_path, calm_bag):
     out = tmp_path / "out"
     arguments = ("--gt", calm_bag.truth, calm_bag.flow, "--protocol", "mvsec-dt1", "--out", out)

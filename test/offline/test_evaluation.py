@@ -14,7 +14,6 @@ from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import evaluate
-from emoflow_ros.offline.html import format_count, format_number
 from emoflow_ros.offline.published import Published
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.report import write_report
@@ -71,19 +70,17 @@ class KnownErrors:
 
 @pytest.fixture
 def folder(tmp_path):
-    """An ECD folder of 550 ms with motion.txt."""
-    path = tmp_path / "spin"
+    return spin(tmp_path)
+
+
+def spin(parent):
+    """Write an ECD folder of 550 ms with motion.txt."""
+    path = parent / "spin"
     path.mkdir()
     rng = np.random.default_rng(0)
     n = 5501
-    rows = np.column_stack(
-        [
-            2 + np.arange(n) * 1e-4,
-            rng.integers(0, 240, n),
-            rng.integers(0, 180, n),
-            np.arange(n) % 2,
-        ]
-    )
+    x, y = rng.integers(0, 240, n), rng.integers(0, 180, n)
+    rows = np.column_stack([2 + np.arange(n) * 1e-4, x, y, np.arange(n) % 2])
     np.savetxt(path / "events.txt", rows, fmt="%.6f %d %d %d")
     (path / "calib.txt").write_text("200 200 119.5 89.5 0 0 0 0 0")
     (path / "motion.txt").write_text(" ".join(map(str, OMEGA)))
@@ -169,11 +166,16 @@ def test_interrupt_in_the_middle_of_a_row_leaves_no_part_of_it(folder, tmp_path)
     assert len(done.windows) == len(read_estimates(tmp_path / "e.h5")) == 2
 
 
-def test_report_holds_the_values(folder, tmp_path):
-    done = run(folder, KnownErrors(fail_at=(2,)))
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The report of a run whose second window failed."""
+    out = tmp_path_factory.mktemp("written")
+    done = run(spin(out), KnownErrors(fail_at=(2,)))
     done.published = Published({"epe_px": 1.56}, ("From cold starts.",), {"epe_px": 1.61})
-    written = write_report(done, {"window.duration_ms": 100.0}, tmp_path)
+    return write_report(done, {"window.duration_ms": 100.0}, out)
 
+
+def test_report_holds_the_values(written):
     report = json.loads(written.json.read_text())
     assert [m.key for m in written.measures] == list(report["summary"])
     assert report["summary"]["epe_px"]["value"] == pytest.approx(5.0, abs=1e-5)
@@ -188,7 +190,7 @@ def test_report_holds_the_values(folder, tmp_path):
         "velocity and flow: motion.txt, constant rotation about the camera's centre"
     ]
 
-    with (tmp_path / "windows.csv").open() as file:
+    with (written.json.parent / "windows.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["status"] for row in rows] == ["ok", "diverged", "ok", "ok", "ok"]
     assert float(rows[0]["epe_px"]) == pytest.approx(5.0, abs=1e-5)
@@ -214,6 +216,7 @@ def test_report_counts_the_events_of_overlapping_windows_once(folder, tmp_path):
     assert "5 500 events" in written.html.read_text().replace("\u202f", " ")
 
 
+@pytest.mark.usefixtures("without_page")
 def test_every_result_holds_the_same_record_of_quality(folder, tmp_path):
     """Of an estimate from 400 of a window's latest 600 events, and of a window that failed."""
 
@@ -285,17 +288,8 @@ def test_report_shows_every_truth_and_moving_objects(folder, tmp_path):
     assert "Flow EPE there, without its pixels" in html
 
 
-def test_links_of_the_report_lead_somewhere(folder, tmp_path):
-    html = write_report(run(folder), {}, tmp_path).html.read_text()
+def test_links_of_the_report_lead_somewhere(written):
+    html = written.html.read_text()
     targets = re.findall(r'href="#([^"]+)"', html)
     assert {"summary", "worst", "windows"} <= set(targets)
     assert set(targets) <= set(re.findall(r'id="([^"]+)"', html))
-
-
-def test_numbers_for_people():
-    assert format_number(-1.234) == "\N{MINUS SIGN}1.23"
-    assert format_number(float("nan")) == "\N{EN DASH}"
-    assert format_number(None) == "\N{EN DASH}"
-    assert format_number(2.0, 0) == "2"
-    assert format_number(-0.001) == "0.00"
-    assert format_count(1234567) == "1\N{NARROW NO-BREAK SPACE}234\N{NARROW NO-BREAK SPACE}567"

@@ -21,7 +21,7 @@ from emoflow_ros.offline.truth.rotation import ConstantRotation
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 RATE = np.array([0.1, -0.2, 0.05])
 WINDOW_MS, EVENTS_PER_WINDOW, CHUNK_MS = 10, 1000, 25
-SETTLED, WINDOWS = 100, 400
+SETTLED, WINDOWS = 50, 200
 EVENTS_BYTES = EVENTS_PER_WINDOW * (2 + 2 + 8 + 1)
 MOST_BYTES_PER_WINDOW = 4096
 

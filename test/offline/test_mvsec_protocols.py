@@ -241,6 +241,7 @@ def test_flow_from_depth_and_poses_is_the_planes(mvsec, world, form):
     np.testing.assert_allclose(found.displacement[known], exact[known], atol=1e-3)
 
 
+@pytest.mark.usefixtures("without_page")
 def test_mvsec_files_to_report(monkeypatch, tmp_path, mvsec):
     """The executable and the real estimator on everything that MVSEC has for a sequence."""
     data, truth = mvsec["hdf5"]

@@ -17,7 +17,7 @@ from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.writer import OutputPaths, write_recording
 
 SECONDS = 2.0
-MOST_PROCESSOR_SECONDS = 2 * SECONDS  # one core without company takes a good half of real time
+MOST_PROCESSOR_SECONDS = 4 * SECONDS  # one core without company takes about real time
 
 
 @pytest.fixture(scope="module")

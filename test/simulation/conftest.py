@@ -2,6 +2,13 @@ import pytest
 
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.sensor import SensorModel
+from emoflow_ros.simulation.textures import make_textures
+
+
+@pytest.fixture
+def painted_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Textures of a seed are not those that a test before has painted."""
+    monkeypatch.setattr("emoflow_ros.simulation.recording.make_textures", make_textures)
 
 
 @pytest.fixture(scope="session")

@@ -100,7 +100,7 @@ def test_camera_at_rest_sends_noise_alone() -> None:
     assert abs(len(noisy.events) - expected) < 4 * np.sqrt(expected)
 
 
-def test_seed_decides_every_bit() -> None:
+def test_seed_decides_every_bit(painted_each_time: None) -> None:
     first, again, other = (simulate("noisy", duration_s=0.02, seed=s).events for s in (5, 5, 6))
     for name in ("x", "y", "t", "p"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))

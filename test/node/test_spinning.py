@@ -1,0 +1,69 @@
+"""The loop that runs the node's callbacks."""
+
+import gc
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+
+from emoflow_ros.node.estimator import spin_until_asked
+
+CALLBACKS = 500
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    context = Context()
+    rclpy.init(context=context)
+    made = rclpy.create_node("spinning", context=context)
+    yield made
+    made.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_nothing_is_kept_of_a_callback_that_has_run(node: Node) -> None:
+    """A camera's thousand messages a second would add up."""
+    objects: list[int] = []
+    asks: list[Callable[[], None]] = []
+    calls = 0
+
+    def call() -> None:
+        nonlocal calls
+        calls += 1
+        if calls in (CALLBACKS, 2 * CALLBACKS):
+            gc.collect()
+            objects.append(len(gc.get_objects()))
+        if len(objects) == 2:
+            asks[0]()
+        else:
+            again.trigger()
+
+    again = node.create_guard_condition(call)
+    again.trigger()
+    spin_until_asked(node, asks.append)
+    assert objects[1] - objects[0] < CALLBACKS / 10
+
+
+def test_the_end_is_asked_for_while_nothing_happens_and_may_be_once_more(node: Node) -> None:
+    asks: list[Callable[[], None]] = []
+    timers: list[threading.Timer] = []
+
+    def give(ask: Callable[[], None]) -> None:
+        asks.append(ask)
+        timers.append(threading.Timer(0.1, ask))
+        timers[0].start()
+
+    spin_until_asked(node, give)
+    timers[0].join()
+    node.destroy_node()
+    asks[0]()  # a signal that comes late
+
+
+def test_an_end_that_was_asked_for_before_comes_at_once(node: Node) -> None:
+    spin_until_asked(node, lambda ask: ask())
