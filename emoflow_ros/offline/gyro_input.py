@@ -1,6 +1,7 @@
 """The gyro of an evaluation: which one, and its readings on the events' clock."""
 
 import argparse
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from emoflow_ros.offline.readers import Recording
 from emoflow_ros.offline.readers.imu import Imu, read_imu_text
 
 OFF = "off"
+_SHARE = re.compile(r": \d+ % of windows")
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,10 @@ def _require_common_time(recording: Recording, name: str, readings: GyroReadings
 
 
 def shares(statuses: Iterable[str]) -> str:
-    """Count what the windows say of the gyro, for example `used 95 %, none 5 %`."""
-    counts = Counter(statuses)
+    """Count what the windows say of the gyro, for example `used 95 %, none 5 %`.
+
+    The shares of windows in their own reasons are left out.
+    """
+    counts = Counter(_SHARE.sub("", status) for status in statuses)
     total = max(1, sum(counts.values()))
     return ", ".join(f"{name} {100 * n / total:.0f} %" for name, n in counts.most_common())

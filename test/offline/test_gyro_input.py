@@ -144,6 +144,8 @@ def test_a_topic_of_a_bag_is_read(calm_bag):
 def test_shares_are_counted():
     assert shares(["used"] * 3 + ["none"]) == "used 75 %, none 25 %"
     assert shares([]) == ""
+    disagree = [f"rejected (gyro and events disagree: {n} % of windows, axis x?)" for n in (70, 80)]
+    assert shares(disagree) == "rejected (gyro and events disagree, axis x?) 100 %"
 
 
 def test_labels_have_no_gyro(monkeypatch, capsys, folder):
