@@ -18,6 +18,7 @@ class Status(StrEnum):
     OK = "ok"
     TOO_FEW_EVENTS = "too_few_events"
     NO_MOTION = "no_motion"  # a static camera: events do not move together
+    UNCERTAIN = "uncertain"  # an estimate that is too likely wrong
     DIVERGED = "diverged"
 
 
@@ -71,6 +72,7 @@ class Quality:
         inlier_fraction: share of the residuals within 3 robust scales.
         runtime_s: wall time of the whole estimate.
         warm: whether the previous window's result was the start.
+        doubt: probability that the estimate is wrong (core.reliability); NaN where not known.
     """
 
     events: int
@@ -81,6 +83,7 @@ class Quality:
     inlier_fraction: float = float("nan")
     runtime_s: float = 0.0
     warm: bool = False
+    doubt: float = float("nan")
 
 
 def _unknown_covariance() -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_windows import MotionWindows
+from emoflow_ros.core.reliability import ReliableOnly
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
@@ -25,9 +26,11 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
         from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 
         estimator = ImplicitEstimator(camera, config.estimator)
-    if config.window.max_displacement_px == 0:
-        return estimator
-    return MotionWindows(estimator, camera, config.window)
+    if config.window.max_displacement_px > 0:
+        estimator = MotionWindows(estimator, camera, config.window)
+    if isinstance(config.estimator, LatticeConfig) and config.estimator.max_doubt < 1:
+        estimator = ReliableOnly(estimator, config.estimator.max_doubt)
+    return estimator
 
 
 def _make_lattice_estimator(camera: Camera, config: LatticeConfig, imu: GyroConfig) -> Estimator:

@@ -95,3 +95,10 @@ class LatticeConfig:
         minimum=1.0,
         maximum=10.0,
     )
+    max_doubt: float = option(
+        0.25,
+        "probability of failure above which a window gives no estimate but the status uncertain; "
+        "1 withholds none",
+        minimum=0.0,
+        maximum=1.0,
+    )

@@ -24,6 +24,7 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
 from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.preparation import prepare
+from emoflow_ros.core.reliability import probability_of_failure
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.structure import Structure
@@ -256,7 +257,9 @@ class LatticeEstimator:
         model = self._selector.model
         travels = model is not MotionModel.ROTATION
         w, v = fit.motion.at(0.5)
-        bend = fit.known.bend if fit.known is not None else np.zeros(3)
+        rotation = w if fit.known is None else w + fit.known.bend
+        if travels and self.config.model != "translation":
+            rotation = rotation + self._uncertainty.mean_rotation
         belief = fit.belief(window)
         flow = fit.node_flow.mean(axis=1)
         structure = Structure.observe(self._epipolar, flow, (w, v), fit.evidence, fit.structure)
@@ -271,6 +274,8 @@ class LatticeEstimator:
         front = np.copysign(1.0, self._selector.agreement) if travels else 0.0
         residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
+        inliers = float(np.mean(np.abs(residual) <= 3 * scale))
+        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
         lattice, field = self._image.on_sensor(self.lattice, fit.flow)
         return Estimate(
             window.t_start,
@@ -283,17 +288,21 @@ class LatticeEstimator:
                 stop_reason=stop,
                 contrast_gain=gain,
                 residual_px=scale * float(self._image.sensor_px.max()),
-                inlier_fraction=float(np.mean(np.abs(residual) <= 3 * scale)),
+                inlier_fraction=inliers,
                 runtime_s=time.perf_counter() - self._started,
                 warm=warm,
+                doubt=probability_of_failure(evidence, inliers, used, gain),
             ),
             model,
             front * v,
-            (w + bend) / window.duration,
+            rotation / window.duration,
             covariance,
             LatticeFlow(lattice, field, window.t_start, window.t_end),
             SplineMotion(
-                window.t_start, window.t_end, fit.motion.w / window.duration, front * fit.motion.v
+                window.t_start,
+                window.t_end,
+                (fit.motion.w + (rotation - w)) / window.duration,
+                front * fit.motion.v,
             ),
             self._gyro.status,
         )

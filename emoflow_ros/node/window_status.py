@@ -11,6 +11,7 @@ _LEVELS = {
     Status.OK: Level.OK,
     Status.TOO_FEW_EVENTS: Level.WARN,
     Status.NO_MOTION: Level.WARN,
+    Status.UNCERTAIN: Level.WARN,
     Status.DIVERGED: Level.ERROR,
 }
 
