@@ -19,7 +19,8 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.gyro_faults import GyroState, GyroStatus
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.windows import Window, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.answer import pack, unpack
 from emoflow_ros.node.discovery import EventTopic
@@ -38,13 +39,14 @@ WINDOWS = {"window.duration_ms": 10.0, "window.stride_ms": 10.0, "input.queue_wi
 class Bench:
     """A calibrated pipeline that listens to /left/events and /left/imu."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, **imu: str) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **imu: str | float) -> None:
         supervisors = install_fake_supervisor(monkeypatch)
         self.node = FakeNode()
         values = {f"imu.{name}": value for name, value in imu.items()}
+        self.settings = Settings(NodeOptions(), load_config()).changed(WINDOWS | values)
         self.pipeline = Pipeline(
             self.node,  # type: ignore[arg-type]
-            Settings(NodeOptions(), load_config()).changed(WINDOWS | values),
+            self.settings,
             factory="",
             wake=lambda: None,
             made=ExitStack(),
@@ -177,3 +179,30 @@ def test_the_gyros_status_crosses_the_channel() -> None:
     estimate = Estimate(0, 1, 0, Status.NO_MOTION, Quality(events=1), gyro=status)
     result = unpack(task, *pack(estimate, []))
     assert result.estimate.gyro == status
+
+
+def test_the_node_gives_windows_the_readings_that_they_have_offline(monkeypatch) -> None:
+    bench = Bench(monkeypatch, use="auto", rotation="5,-3,90", time_offset_ms=2.5)
+    rng = np.random.default_rng(0)
+    jobs, all_events, all_readings = [], [], []
+    for ms in range(1000, 1200, 5):
+        t = np.sort(rng.integers(ms * MS, (ms + 5) * MS, 40)) // 1000 * 1000
+        x = np.zeros(40, np.uint16)
+        events = Events(x, x, t, x.astype(bool))
+        for stamp in range(ms * MS, (ms + 5) * MS, 2 * MS):
+            w = rng.normal(size=3)
+            all_readings.append((stamp, w))
+            bench.node.sent.append(ENCODER.imu(stamp, ImuSample(w, np.zeros(3))))
+        bench.pipeline.take_events(ENCODER.events(ms * MS, CAMERA, events))
+        all_events.append(events)
+        jobs += bench.supervisor.jobs()
+    config = bench.settings.config
+    t, w = (np.array(part) for part in zip(*all_readings, strict=True))
+    readings = GyroReadings.mounted(t, w, config.imu.matrix(), config.imu.time_offset_ns)
+    offline = WindowSlicer(config.window).push(Events.concatenate(all_events))
+    assert len(jobs) >= 18
+    for job, window in zip(jobs, offline, strict=False):
+        ours, theirs = job.task.window, window.with_gyro(readings)
+        assert (ours.t_start, ours.t_end) == (theirs.t_start, theirs.t_end)
+        np.testing.assert_array_equal(ours.gyro.t, theirs.gyro.t)
+        np.testing.assert_array_equal(ours.gyro.w, theirs.gyro.w)
