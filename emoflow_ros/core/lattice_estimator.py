@@ -225,7 +225,10 @@ class LatticeEstimator:
             present = v if v @ present >= 0 else -v
             w, cost = rotations[best], costs[best]
             middle = w
-        self._uncertainty.weigh_others((middle, present), rotations, directions, costs - cost)
+        turn, turn_cost = self._epipolar.rotation(*free.evidence)
+        self._uncertainty.weigh_others(
+            (middle, present), (rotations, directions, costs - cost), (turn, turn_cost - cost)
+        )
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()
@@ -258,7 +261,7 @@ class LatticeEstimator:
         travels = model is not MotionModel.ROTATION
         w, v = fit.motion.at(0.5)
         rotation = w if fit.known is None else w + fit.known.bend
-        if travels and self.config.model != "translation":
+        if model is MotionModel.FULL:
             rotation = rotation + self._uncertainty.mean_rotation
         belief = fit.belief(window)
         flow = fit.node_flow.mean(axis=1)
@@ -267,7 +270,11 @@ class LatticeEstimator:
             window.t_start, window.t_end, fit.flow, fit.motion,
             belief if travels else None, structure if travels else None,
         )  # fmt: skip
+        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
         covariance = self._covariance(belief, flow, window.duration, travels)
+        if fit.known is None and self.config.model != "translation":
+            w_s = rotation / window.duration
+            covariance = self._uncertainty.calibrated(covariance, w_s, evidence)
         if travels and self.config.model == "auto" and not self._uncertainty.claims_travel:
             model, travels = MotionModel.ROTATION, False
             covariance = without_travel(covariance)
@@ -275,7 +282,6 @@ class LatticeEstimator:
         residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
         inliers = float(np.mean(np.abs(residual) <= 3 * scale))
-        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
         lattice, field = self._image.on_sensor(self.lattice, fit.flow)
         return Estimate(
             window.t_start,

@@ -6,6 +6,9 @@ later windows of the same scene repeat it, so that no memory averages it either 
 covariance: Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.4). And other
 directions of travel may explain the flow nearly as well, each with a rotation of its own: the
 estimate of w is the mean over them, and their spread counts.
+
+The sum is scaled by the evidence, and how far w is from where the last two windows lead is added:
+an estimate that jumps is less certain than its own window says.
 """
 
 import numpy as np
@@ -20,8 +23,14 @@ Array = NDArray[np.float64]
 
 # Chosen on the random recordings with seeds 0 to 59 and those of the shared data (docs/method.md).
 _BIAS_PX = 0.15  # each polynomial of the flow's smooth error
-_POSSIBLE = 15.0  # cost over that of the best motion at which another one is 1/e as likely
-_CLAIMED = 0.35  # rad: spread of the possible directions of travel from which none is claimed
+_POSSIBLE = 20.0  # cost over that of the best motion at which another one is 1/e as likely
+_AS_ROTATION = 20.0  # weight of a camera that only turns, against 1 of each direction of travel
+_CLAIMED = 0.4  # rad: spread of the possible directions of travel from which none is claimed
+_SCALE = 0.41  # of the sum of the three parts, at ...
+_USUAL_EVIDENCE = 645.0  # px^-2
+_OF_EVIDENCE = -0.8  # exponent
+_OF_JUMP = 0.05  # variance of w in squares of its second difference over three windows
+_FIRST_JUMP, _LARGEST_JUMP = np.radians([10.0, 60.0])  # rad/s
 _WIDE = 2.0  # how far a motion may exceed what the flow's size suggests
 _ROS_ORDER = np.r_[3:6, 0:3]  # (v, w) from (w, v)
 
@@ -46,6 +55,7 @@ class MotionUncertainty:
         """Take no other motion into account, before one is known."""
         self._mean = np.zeros(6)
         self._spread = np.zeros((6, 6))
+        self._before: list[Array] = []
 
     @property
     def claims_travel(self) -> bool:
@@ -58,17 +68,26 @@ class MotionUncertainty:
         """Mean of the possible angular velocities (3,) less the present one, rad per window."""
         return self._mean[:3]
 
-    def weigh_others(self, present: tuple[Array, Array], w: Array, v: Array, excess: Array) -> None:
+    def weigh_others(
+        self,
+        present: tuple[Array, Array],
+        travels: tuple[Array, Array, Array],
+        rotation: tuple[Array, float],
+    ) -> None:
         """Note which other motions explain the flow.
 
         Args:
             present: (3,) w in rad per window and (3,) unit v of the estimate.
-            w, v: (M, 3) the others.
-            excess: (M,) their costs, less that of the present motion.
+            travels: w and v (M, 3) of others, and their costs (M,) less that of the present motion.
+            rotation: w (3,) of a camera that only turns, and its cost, less the same.
         """
+        w, v, excess = travels
         signs = np.where(v @ present[1] < 0, -1.0, 1.0)[:, None]
         apart = np.hstack([w - present[0], signs * v - present[1]])
-        weight = np.exp(-np.maximum(excess, 0.0) / _POSSIBLE)
+        turns = np.hstack([rotation[0] - present[0], np.zeros(3)])
+        apart = np.vstack([apart, turns])
+        weight = np.exp(-np.maximum(np.append(excess, rotation[1]), 0.0) / _POSSIBLE)
+        weight[-1] *= _AS_ROTATION
         total = 1 + weight.sum()  # the present motion's weight is 1
         self._mean = weight @ apart / total
         moment = (weight[:, None] * apart).T @ apart / total
@@ -117,6 +136,25 @@ class MotionUncertainty:
         covariance = without_travel(belief.across())
         covariance[3:, 3:] += self._of_bias(_with(matrix, known), response, flow) / duration**2
         return covariance
+
+    def calibrated(self, covariance: Array, w: Array, evidence: Array) -> Array:
+        """Scale a covariance by the evidence, and count a jump of w since the last windows.
+
+        Call it once per window.
+
+        Args:
+            covariance: (6, 6) of (v, w), or of w alone with -1 first.
+            w: (3,) rad/s.
+            evidence: (nodes,) the events' information on the flow (trace), px^-2.
+        """
+        jump = _FIRST_JUMP
+        if len(self._before) == 2:
+            jump = float(np.linalg.norm(w - 2 * self._before[1] + self._before[0]))
+        self._before = [*self._before[-1:], w]
+        scale = _SCALE * ((1 + evidence.sum()) / _USUAL_EVIDENCE) ** _OF_EVIDENCE
+        result: Array = scale * covariance
+        result[3:, 3:] += _OF_JUMP * min(jump, _LARGEST_JUMP) ** 2 * np.eye(3)
+        return without_travel(result) if covariance[0, 0] < 0 else result
 
     def of_events(self, flow: Array, information: Array, v: Array | None) -> tuple[Array, Array]:
         """Angular velocity that the events of one window tell by themselves.
