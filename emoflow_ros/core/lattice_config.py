@@ -17,7 +17,7 @@ class LatticeConfig:
         26.0, "distance of the flow lattice's nodes", unit="px", minimum=8.0, maximum=200.0
     )
     smoothness: float = option(
-        2.0, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
+        1.5, "weight of the flow's second differences in space", minimum=1e-3, maximum=1e3
     )
     edge_px: float = option(
         0.4,

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import (
     Contrast,
@@ -19,16 +18,14 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.known_rotation import KnownRotation
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
 from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.preparation import prepare
-from emoflow_ros.core.reliability import probability_of_failure
+from emoflow_ros.core.reading import EstimateReader
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.structure import Structure
-from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
 from emoflow_ros.core.warm_flow import best_start, is_lost
 from emoflow_ros.core.windows import Window
 from emoflow_ros.core.working_image import WorkingImage
@@ -68,7 +65,7 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
-        self._uncertainty = MotionUncertainty(self.lattice, self._epipolar)
+        self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
@@ -77,7 +74,7 @@ class LatticeEstimator:
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
         self._last: Memory | None = None
-        self._uncertainty.forget()
+        self._reader.uncertainty.forget()
         self._selector = ModelSelector()
 
     def estimate(self, window: Window) -> Estimate:
@@ -114,9 +111,7 @@ class LatticeEstimator:
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            if window.gyro is not None:
-                self._teach_gyro(window)
-            result = self._result(window, len(events), stop, gain, warm)
+            result = self._result(window, self._quality(len(events), stop, gain, warm=warm))
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
@@ -226,7 +221,7 @@ class LatticeEstimator:
             w, cost = rotations[best], costs[best]
             middle = w
         turn, turn_cost = self._epipolar.rotation(*free.evidence)
-        self._uncertainty.weigh_others(
+        self._reader.uncertainty.weigh_others(
             (middle, present), (rotations, directions, costs - cost), (turn, turn_cost - cost)
         )
         if switch and not rotates:
@@ -254,94 +249,40 @@ class LatticeEstimator:
         evidence = np.trace(self._fit.evidence, axis1=1, axis2=2)
         return self.config.model == "auto" and self.lattice.spread(evidence) < _CONFINED
 
-    def _result(self, window: Window, used: int, stop: str, gain: float, warm: bool) -> Estimate:
+    def _result(self, window: Window, quality: Quality) -> Estimate:
+        """Remember the window that was fitted, and report it."""
         fit = self._fit
         assert fit.motion is not None
-        model = self._selector.model
-        travels = model is not MotionModel.ROTATION
-        w, v = fit.motion.at(0.5)
-        rotation = w if fit.known is None else w + fit.known.bend
-        if model is MotionModel.FULL:
-            rotation = rotation + self._uncertainty.mean_rotation
         belief = fit.belief(window)
         flow = fit.node_flow.mean(axis=1)
-        structure = Structure.observe(self._epipolar, flow, (w, v), fit.evidence, fit.structure)
+        motion = fit.motion.at(0.5)
+        structure = Structure.observe(self._epipolar, flow, motion, fit.evidence, fit.structure)
+        travels = self._selector.model is not MotionModel.ROTATION
         self._last = Memory(
             window.t_start, window.t_end, fit.flow, fit.motion,
             belief if travels else None, structure if travels else None,
         )  # fmt: skip
-        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
-        covariance = self._covariance(belief, flow, window.duration, travels)
-        if fit.known is None and self.config.model != "translation":
-            w_s = rotation / window.duration
-            covariance = self._uncertainty.calibrated(covariance, w_s, evidence)
-        if travels and self.config.model == "auto" and not self._uncertainty.claims_travel:
-            model, travels = MotionModel.ROTATION, False
-            covariance = without_travel(covariance)
-        front = np.copysign(1.0, self._selector.agreement) if travels else 0.0
-        residual = self._epipolar.residuals(fit.node_flow, fit.motion).r[self._epipolar.usable]
-        scale = 1.4826 * float(np.median(np.abs(residual)))
-        inliers = float(np.mean(np.abs(residual) <= 3 * scale))
-        lattice, field = self._image.on_sensor(self.lattice, fit.flow)
-        return Estimate(
-            window.t_start,
-            window.t_end,
-            belief.t,
-            Status.OK,
-            Quality(
-                events=used,
-                iterations=self._iterations,
-                stop_reason=stop,
-                contrast_gain=gain,
-                residual_px=scale * float(self._image.sensor_px.max()),
-                inlier_fraction=inliers,
-                runtime_s=time.perf_counter() - self._started,
-                warm=warm,
-                doubt=probability_of_failure(evidence, inliers, used, gain),
-            ),
-            model,
-            front * v,
-            rotation / window.duration,
-            covariance,
-            LatticeFlow(lattice, field, window.t_start, window.t_end),
-            SplineMotion(
-                window.t_start,
-                window.t_end,
-                (fit.motion.w + (rotation - w)) / window.duration,
-                front * fit.motion.v,
-            ),
-            self._gyro.status,
+        if window.gyro is not None:
+            w, covariance = self._reader.rotation_of_events(self._free, self._selector.model)
+            self._gyro.learn(w / window.duration, covariance / window.duration**2)
+        return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
+
+    def _quality(self, used: int, stop: str, gain: float, *, warm: bool) -> Quality:
+        return Quality(
+            events=used,
+            iterations=self._iterations,
+            stop_reason=stop,
+            contrast_gain=gain,
+            runtime_s=time.perf_counter() - self._started,
+            warm=warm,
         )
-
-    def _teach_gyro(self, window: Window) -> None:
-        """Let the gyro learn its bias from the rotation that the events alone tell."""
-        motion = self._fit.motion
-        assert motion is not None
-        travels = self._selector.model is not MotionModel.ROTATION
-        v = motion.at(0.5)[1] if travels else None
-        w, covariance = self._uncertainty.of_events(self._free.flow, self._free.information, v)
-        if self._fit.known is not None:
-            w = w + self._fit.known.bend
-        self._gyro.learn(w / window.duration, covariance / window.duration**2)
-
-    def _covariance(self, belief: Belief, flow: Array, duration: float, travels: bool) -> Array:
-        if self.config.model == "translation":
-            return belief.across()  # that the camera does not turn is known
-        uncertainty = self._uncertainty.of_travel if travels else self._uncertainty.of_rotation
-        return uncertainty(belief, flow, self._fit.evidence, duration, self._fit.known)
 
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")
     ) -> Estimate:
         """Report a window without a confident estimate; the next one starts cold."""
         self.reset()
-        quality = Quality(
-            events=used,
-            iterations=self._iterations,
-            stop_reason=str(status),
-            contrast_gain=gain,
-            runtime_s=time.perf_counter() - self._started,
-        )
+        quality = self._quality(used, str(status), gain, warm=False)
         middle = (window.t_start + window.t_end) // 2
         return Estimate(
             window.t_start, window.t_end, middle, status, quality, gyro=self._gyro.status

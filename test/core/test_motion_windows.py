@@ -15,6 +15,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
+from emoflow_ros.core.reliability import ReliableOnly
 from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
 
 MS = 1_000_000
@@ -240,7 +241,8 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
     camera = Camera(1600, 16, 100.0, 100.0, 800.0, 8.0)
     path = Path([200.0] * 3)
     inner = Sheared(path)
-    estimator = MotionWindows(inner, camera, policy(bound=7.2, min_count=100))
+    bound = 7.2 * 345 / 1599  # is in pixels of a sensor that is 346 wide
+    estimator = MotionWindows(inner, camera, policy(bound=bound, min_count=100))
     window = Window(START, START + 100 * MS, path.events[:1000])
     for _ in range(2):
         estimator.estimate(window)
@@ -249,6 +251,8 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
 
 
 def test_windows_are_taken_whole_unless_a_bound_is_set():
-    whole = load_config(overrides={"window.max_displacement_px": 0.0})
+    all_of_them = {"estimator.max_doubt": 1.0}
+    whole = load_config(overrides={"window.max_displacement_px": 0.0, **all_of_them})
     assert isinstance(make_estimator(CAMERA, whole), LatticeEstimator)
-    assert isinstance(make_estimator(CAMERA, load_config()), MotionWindows)
+    assert isinstance(make_estimator(CAMERA, load_config(overrides=all_of_them)), MotionWindows)
+    assert isinstance(make_estimator(CAMERA, load_config()), ReliableOnly)

@@ -21,6 +21,7 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import TO_MIDDLE, LatticeFit
 from emoflow_ros.core.preparation import prepare
 from emoflow_ros.core.windows import NS_PER_MS, Window
+from emoflow_ros.core.working_image import WorkingImage
 
 Array = NDArray[np.float64]
 
@@ -93,7 +94,7 @@ class Scene:
         flow = DURATION * np.linalg.solve(EPIPOLAR.to_bearing, flow[..., None])[..., 0]
         fit.flow = np.repeat(flow[:, None], LATTICE.times, 1).reshape(LATTICE.shape)
         fit.flow = fit.flow.astype(np.float32)
-        events = prepare(window, CAMERA, CONFIG)
+        events = prepare(window, WorkingImage.of(CAMERA), CONFIG)
         for _ in range(5):
             fit.linearise(events, 1.0)
             fit.step_coupled(None)
