@@ -38,12 +38,10 @@ def smooth_errors():
 
 
 def test_a_rotation_s_covariance_is_that_of_refits_to_flows_with_smooth_errors(uncertainty):
-    flow = EPIPOLAR.b @ (
-        0.02 * W
-    )  # slow: a fast one is rough, by the lens, which adds to the error
+    flow = EPIPOLAR.b @ W
     found = uncertainty.of_rotation(belief(), flow, INFORMATION, DURATION)[3:, 3:]
     b = EPIPOLAR.b.reshape(-1, 3)
-    errors = [np.linalg.lstsq(b, 0.2 * e.ravel(), rcond=None)[0] for e in smooth_errors()]
+    errors = [np.linalg.lstsq(b, 0.15 * e.ravel(), rcond=None)[0] for e in smooth_errors()]
     expected = sum(np.outer(e, e) for e in errors) / DURATION**2
     np.testing.assert_allclose(found, expected, rtol=0.05, atol=0.02 * np.trace(expected))
 
@@ -66,28 +64,67 @@ def turned(angle: float) -> np.ndarray:
     return np.cos(angle) * V + np.sin(angle) * np.cross(axis, V)
 
 
+def other(w, v, excess: float, turn_excess: float = 1e9):
+    """One other motion that travels, and a camera that only turns, by what they cost more."""
+    return (w[None], v[None], np.array([excess])), (np.zeros(3), turn_excess)
+
+
 @pytest.mark.parametrize(("angle", "excess", "claims"), [
-    (0.5, 0.0, True), (1.2, 0.0, False), (1.2, 200.0, True), (1.2, 20.0, True), (1.5, 10.0, False),
+    (0.5, 0.0, True), (1.2, 0.0, False), (1.2, 200.0, True), (1.2, 40.0, True), (1.5, 10.0, False),
 ])  # fmt: skip
 def test_a_direction_is_claimed_unless_another_one_far_off_is_possible(
     uncertainty, angle, excess, claims
 ):
-    uncertainty.weigh_others((W, V), W[None], turned(angle)[None], np.array([excess]))
+    uncertainty.weigh_others((W, V), *other(W, turned(angle), excess))
     assert uncertainty.claims_travel is claims
 
 
-def test_a_motion_that_explains_the_flow_as_well_counts_for_half(uncertainty):
+def test_two_motions_that_explain_the_flow_alike_give_their_mean_and_spread(uncertainty):
+    """Half of the way between them, and the square of it."""
     other_w = W + np.array([0.0, 0.04, 0.0])
     flow = EPIPOLAR.b @ W + 0.05 * (EPIPOLAR.a @ V)
     before = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
-    uncertainty.weigh_others((W, V), other_w[None], -turned(0.4)[None], np.zeros(1))
+    uncertainty.weigh_others((W, V), *other(other_w, -turned(0.4), 0.0))
+    np.testing.assert_allclose(uncertainty.mean_rotation, [0.0, 0.02, 0.0], atol=1e-15)
     after = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
     added = after - before
-    assert added[4, 4] == pytest.approx(0.5 * (0.04 / DURATION) ** 2)
-    assert np.trace(added[:3, :3]) == pytest.approx(0.5 * np.sin(0.4) ** 2)
+    assert added[4, 4] == pytest.approx((0.02 / DURATION) ** 2)
+    assert np.trace(added[:3, :3]) == pytest.approx((0.5 * np.sin(0.4)) ** 2)
     uncertainty.forget()
     again = uncertainty.of_travel(belief(), flow, INFORMATION, DURATION)
     np.testing.assert_array_equal(again, before)
+
+
+def test_a_camera_that_only_turns_weighs_as_much_as_twenty_directions(uncertainty):
+    uncertainty.weigh_others((W, V), *other(W, V, 1e9, turn_excess=0.0))
+    np.testing.assert_allclose(uncertainty.mean_rotation, -20 / 21 * W)
+
+
+def test_a_jump_of_w_counts_and_an_even_change_does_not(uncertainty):
+    """The covariance of 645 px^-2 of evidence is scaled by 0.41."""
+    evidence = np.array([644.0])
+    small = np.eye(6) * 1e-9
+    variances = [
+        uncertainty.calibrated(small, np.array([w, 0.0, 0.0]), evidence)[3, 3]
+        for w in (0.1, 0.2, 0.3, 0.4, 0.9)
+    ]
+    first = 0.05 * np.radians(10) ** 2
+    expected = [first, first, 0, 0, 0.05 * 0.4**2]
+    np.testing.assert_allclose(variances, np.add(expected, 0.41e-9), rtol=1e-6)
+
+
+def test_more_evidence_makes_the_covariance_smaller_but_for_jumps(uncertainty):
+    usual, much = (
+        MotionUncertainty(LATTICE, EPIPOLAR).calibrated(np.eye(6), W, np.array([total - 1.0]))
+        for total in (645.0, 6450.0)
+    )
+    np.testing.assert_allclose(usual[:3, :3], 0.41 * np.eye(3))
+    np.testing.assert_allclose(much[:3, :3], 0.41 * 10**-0.8 * np.eye(3))
+
+
+def test_a_covariance_without_travel_stays_one(uncertainty):
+    found = uncertainty.calibrated(without_travel(np.eye(6)), W, np.array([644.0]))
+    assert found[0, 0] == -1 and not found[:3, 3:].any()
 
 
 def test_without_travel_only_the_rotation_s_part_is_left():
