@@ -150,6 +150,7 @@ class Factors:
             "stripes": 0.07,
             "checker": 0.06,
             "text": 0.12,
+            "photo": 0.0,
         }
     )
     feature_px: float = _log_normal("px", 6.0, 1.6, 2.0, 25.0)
@@ -176,7 +177,9 @@ class Factors:
 
     sensor: str = _choice({"240x180": 0.30, "346x260": 0.48, "640x480": 0.17, "1280x720": 0.05})
     focal: float = _log_normal("widths", 0.72, 1.25, 0.5, 1.5)
-    lens: str = _choice({"none": 0.25, "plumb_bob": 0.40, "equidistant": 0.35})
+    lens: str = _choice(
+        {"none": 0.25, "plumb_bob": 0.40, "equidistant": 0.35, "rational_polynomial": 0.0}
+    )
     threshold: float = _log_normal("log intensity", 0.22, 1.3, 0.1, 0.4)
     off_ratio: float = _log_normal("", 0.93, 1.2, 0.6, 1.6)
     mismatch: float = _uniform("", 0.02, 0.12)

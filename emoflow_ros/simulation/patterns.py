@@ -1,11 +1,13 @@
 """Textures of the random recordings: natural ones, printed ones, and blank paint."""
 
 from collections.abc import Callable
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import TEXTURE_KINDS, Factors
 from emoflow_ros.simulation.textures import (
     LOG_CONTRAST,
@@ -18,6 +20,18 @@ from emoflow_ros.simulation.textures import (
 FEATURE = 14.0  # texels: radius of the smallest leaves, width of stripes, letters' size
 PAINTED, BLANK = 5, 5  # number of textures with a pattern; the index of the one without
 _SHADING = 0.02  # log contrast of blank paint
+_PHOTOS = (
+    "astronaut",
+    "brick",
+    "camera",
+    "chelsea",
+    "coffee",
+    "coins",
+    "grass",
+    "gravel",
+    "rocket",
+)
+_DARKEST = 10.0  # of 255: what no photograph shows below
 
 Texels = NDArray[np.float32]
 
@@ -91,6 +105,28 @@ def _text(rng: np.random.Generator) -> Texels:
     return np.asarray(4 * LOG_CONTRAST * 0.8 * (page - page.mean()), np.float32)
 
 
+def _photo(rng: np.random.Generator) -> Texels:
+    """A part of a photograph that scikit-image ships, mirrored so that it goes on evenly.
+
+    Raises:
+        InputError: scikit-image is not installed.
+    """
+    name = str(rng.choice(_PHOTOS))
+    try:
+        data = import_module("skimage.data")
+    except ImportError:
+        raise InputError(
+            "texture photo", "scikit-image is not installed", "pip install scikit-image"
+        ) from None
+    image = np.asarray(getattr(data, name)(), np.float64)
+    gray = image.mean(axis=-1) if image.ndim == 3 else image
+    side = int(min(gray.shape) * rng.uniform(0.5, 1.0))
+    top, left = (int(rng.integers(0, n - side + 1)) for n in gray.shape)
+    part = ndimage.zoom(gray[top : top + side, left : left + side], SIZE / 2 / side, order=1)
+    half = np.concatenate([part, part[:, ::-1]], axis=1)
+    return _normalised(np.log(np.concatenate([half, half[::-1]]) + _DARKEST))
+
+
 _PAINTERS: dict[str, Callable[[np.random.Generator], Texels]] = {
     "leaves": _leaves,
     "blotches": _blotches,
@@ -98,6 +134,7 @@ _PAINTERS: dict[str, Callable[[np.random.Generator], Texels]] = {
     "stripes": _stripes,
     "checker": _checker,
     "text": _text,
+    "photo": _photo,
 }
 
 

@@ -33,6 +33,9 @@ def random_camera(factors: Factors) -> Camera:
         k1 = -float(rng.uniform(0.15, 0.38))
         k2 = k1 * k1 * float(rng.uniform(0.8, 1.3))  # the mapping stays monotone
         distortion = (k1, k2, float(rng.normal(0, 5e-4)), float(rng.normal(0, 5e-4)))
+    elif model == "rational_polynomial":  # OpenCV's: the denominator takes on what k1 leaves
+        k1, k4 = (float(rng.uniform(*bounds)) for bounds in ((-0.2, 0.1), (0.1, 0.3)))
+        distortion = (k1, 0.0, 0.0, 0.0, 0.0, k4, 0.0, 0.0)
     elif model == "equidistant":
         drawn = rng.uniform((-0.05, -0.01, -0.02, -0.005), (0.0, 0.015, 0.005, 0.01))
         distortion = tuple(float(k) for k in drawn)

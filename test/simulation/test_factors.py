@@ -9,6 +9,7 @@ from emoflow_ros.simulation.factors import Factors, draw_factors, factor_specs
 
 DOCS = Path(__file__).parents[2] / "docs" / "simulation.md"
 SPECS = factor_specs()
+ASKED_FOR = {"photo", "rational_polynomial"}  # 0 %: drawn only where they are named
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def test_draws_are_plain_values_within_their_range(name: str, drawn) -> None:
     spec, values = SPECS[name], [factors.as_dict()[name] for factors in drawn]
     assert {type(value) for value in values} <= {str, int, float}
     if spec.choices:
-        assert set(values) == set(spec.choices)
+        assert set(values) == set(spec.choices) - ASKED_FOR
     else:
         assert all(spec.low <= value <= spec.high for value in values)
         assert len(set(values)) > 3

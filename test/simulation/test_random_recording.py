@@ -1,4 +1,5 @@
 import dataclasses
+import sys
 from functools import cache
 
 import numpy as np
@@ -224,3 +225,21 @@ def test_duration_out_of_range_is_refused() -> None:
     for duration in (0.0, 61.0, float("nan")):
         with pytest.raises(InputError, match=r"duration: .* s; give a length in \[0.01, 60\] s"):
             random_truth(draw_factors(0), duration_s=duration)
+
+
+def test_photographs_and_the_rational_lens_can_be_asked_for():
+    fixed = {"texture": "photo", "lens": "rational_polynomial", "blank_share": "0.1"}
+    factors = draw_factors(5, fixed)
+    usual = draw_factors(5, {"texture": "text", "blank_share": "0.1"})
+    photo, text = (random_textures(f) for f in (factors, usual))
+    assert not np.array_equal(photo.texels[0], text.texels[0])
+    assert abs(photo.texels[0].mean()) < 0.05 and photo.texels[0].std() > 0.1
+    camera = random_camera(factors)
+    assert camera.model == "rational_polynomial" and len(camera.distortion) == 8
+    assert np.isfinite(camera.undistort(np.array([[0.0, 0.0], [100.0, 80.0]]))[0]).all()
+
+
+def test_photographs_without_scikit_image_are_one_clear_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "skimage.data", None)
+    with pytest.raises(InputError, match="scikit-image is not installed"):
+        random_textures(draw_factors(5, {"texture": "photo"}))
