@@ -18,6 +18,7 @@ from emoflow_ros.core.estimate import Status
 from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.simulation.bags import data_topics, write_bag
+from emoflow_ros.simulation.imu import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
@@ -39,7 +40,8 @@ def recording() -> SimulatedRecording:
 def bag(recording: SimulatedRecording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bag") / "calm.bag"
     encoder = MessageEncoder(ros1=True)
-    write_bag(path, encoder, data_topics(recording, encoder), progress=False)
+    imu = simulate_imu(recording.truth, recording.t_start, recording.t_end, ImuModel(), 0)
+    write_bag(path, encoder, data_topics(recording, encoder, imu), progress=False)
     return path
 
 

@@ -19,6 +19,7 @@ from shared_node import SharedNode
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.simulation.bags import data_topics, write_bag
+from emoflow_ros.simulation.imu import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
@@ -37,9 +38,10 @@ def recording() -> SimulatedRecording:
 @pytest.fixture(scope="module")
 def bags(recording: SimulatedRecording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bags")
+    imu = simulate_imu(recording.truth, recording.t_start, recording.t_end, ImuModel(), 0)
     for name, ros1 in (("ros1.bag", True), ("ros2", False)):
         encoder = MessageEncoder(ros1=ros1)
-        write_bag(folder / name, encoder, data_topics(recording, encoder), progress=False)
+        write_bag(folder / name, encoder, data_topics(recording, encoder, imu), progress=False)
     return folder
 
 

@@ -13,6 +13,7 @@ import yaml
 from emoflow_ros.core.events import Events
 from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.simulation.bags import data_topics, write_bag
+from emoflow_ros.simulation.imu import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import simulate
 
@@ -37,7 +38,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mvsec") / "indoor_flying1_data.bag"
     recording = simulate("calm", duration_s=0.05, seed=1, fps=200, start_ns=10**18)
     encoder = MessageEncoder(ros1=True)
-    topics = [t for t in data_topics(recording, encoder) if not t.name.endswith("camera_info")]
+    imu = simulate_imu(recording.truth, recording.t_start, recording.t_end, ImuModel(), 0)
+    topics = [t for t in data_topics(recording, encoder, imu) if not t.name.endswith("camera_info")]
     write_bag(path, encoder, topics, progress=False)
     return path
 
