@@ -1,13 +1,16 @@
 """Executables whose output nobody reads to its end, as in `info BAG | head -1`."""
 
 import os
+import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from emoflow_ros.cli import EXIT_NO_READER
+from emoflow_ros.errors import InputError
 
 RUN = "import argparse, os, sys; from emoflow_ros.cli import run; sys.exit(run(lambda: {}))"
 
@@ -69,3 +72,9 @@ def test_info_without_a_reader(tmp_path, options):
     path = tmp_path / "a.npz"
     np.savez(path, x=[1, 2], y=[1, 2], p=[0, 1], t=[0.0, 0.5])
     assert unread("-m", "emoflow_ros.offline.info", *options, path) == (EXIT_NO_READER, b"")
+
+
+def test_bad_input_is_told_from_process_to_process():
+    error = pickle.loads(pickle.dumps(InputError(Path("a/b.bag"), "is cut off", "record it again")))
+    assert type(error) is InputError
+    assert str(error) == "a/b.bag: is cut off; record it again"
