@@ -64,10 +64,13 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
     part = window.since(estimate.t_start)
     ok = estimate.status is Status.OK
     twist = material.truth.twists.twist(estimate.t) if material.truth.twists else None
-    moved, parallax = _true_motion(window, material)
+    whole = _true_flow(window, material)
+    # Slow motion takes the window whole: its flow need not be put together twice.
+    partial = whole if part.t_start == window.t_start else _true_flow(part, material)
+    moved, parallax = _true_motion(window, material, whole)
     if not _travels(twist):
         parallax = 0.0  # else it is the rounding of flow maps
-    truth_px, epe_px = _flow_error(part, estimate, material)
+    truth_px, epe_px = _flow_error(part, estimate, material, partial)
     nothing = np.full(3, np.nan)
     claims_linear = estimate.translation_observable
     return {
@@ -105,13 +108,12 @@ def _true_direction(twist: TrueTwist | None, parallax: float) -> NDArray[np.floa
     return twist.linear / float(np.linalg.norm(twist.linear))
 
 
-def _true_motion(window: Window, material: Material) -> tuple[float, float]:
+def _true_motion(window: Window, material: Material, true: TrueFlow | None) -> tuple[float, float]:
     """How far the image moves over the whole window: median way, mean parallax; px.
 
     Over static event pixels, so that an object that moves before a camera at rest is no motion;
     0 where there is none. NaN where the truth is silent.
     """
-    true = _true_flow(window, material)
     rotation = true_rotation(material.truth, window.t_start, window.t_end)
     if true is None or rotation is None:
         return math.nan, math.nan
@@ -124,11 +126,12 @@ def _true_motion(window: Window, material: Material) -> tuple[float, float]:
     return float(np.median(np.linalg.norm(flow, axis=1))), float(np.nanmean(parallax))
 
 
-def _flow_error(part: Window, estimate: Estimate, material: Material) -> tuple[float, float]:
+def _flow_error(
+    part: Window, estimate: Estimate, material: Material, true: TrueFlow | None
+) -> tuple[float, float]:
     """Mean true displacement and mean end-point error of the event pixels over a part, px."""
     if estimate.flow is None or not material.exact_flow:
         return math.nan, math.nan
-    true = _true_flow(part, material)
     if true is None:
         return math.nan, math.nan
     pixels = _event_pixels(part, true)
