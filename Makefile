@@ -16,6 +16,7 @@ setup:  ## virtual environment, requirements, colcon build of the package into i
 messages: setup  ## message packages of the event camera drivers, where not installed
 	@scripts/build_test_messages.sh
 
+demo: export PARTS = light
 demo: messages  ## simulate, replay through the running node, report in out/demo/
 	@$(ENV)
 	python -m emoflow_ros.offline.demo

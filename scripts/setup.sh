@@ -1,12 +1,14 @@
 #!/usr/bin/env bash
 # Make .venv, install the pinned requirements and build the package into install/.
-# A second call finds nothing to do and ends at once.
+# A second call finds nothing to do and ends at once. With PARTS=light it installs what the node and
+# the offline commands need: neither PyTorch nor what only tests need.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 ROS=/opt/ros/jazzy
 VENV=.venv
 PYTHON_WANTED=3.12
+PARTS=${PARTS:-full}
 
 fail() {
     echo "error: $1" >&2
@@ -43,12 +45,12 @@ find_python() {
 # Digest of what decides the contents of .venv and install/; the sources themselves are linked.
 digest() {
     {
-        cat scripts/setup.sh requirements{,-ros}.{in,lock} requirements-test.in
+        cat scripts/setup.sh requirements{,-ros}.{in,lock} requirements-{torch,test}.in
         cat package.xml setup.py setup.cfg
         find launch config resource -type f | sort
         [ -d "$ROS" ] && echo "$ROS"
         pwd
-    } | sha256sum
+    } | sha256sum | cut -d " " -f 1
 }
 
 make_venv() {
@@ -65,12 +67,13 @@ make_venv() {
 # The lock constrains and does not list what to install, so that a CPU build of PyTorch
 # (UV_TORCH_BACKEND=cpu) leaves the CUDA libraries out.
 install_requirements() {
-    local options=(--constraints requirements.lock) name
-    for name in requirements requirements-test; do
-        options+=(--requirements "$name.in")
-    done
+    local options=(--constraints requirements.lock --requirements requirements.in)
+    [ "$PARTS" = light ] ||
+        options+=(--requirements requirements-torch.in --requirements requirements-test.in)
     [ -d "$ROS" ] || options+=(--requirements requirements-ros.in --constraints requirements-ros.lock)
-    echo "setup: requirements (several gigabytes the first time)"
+    local size="several gigabytes"
+    [ "$PARTS" = light ] && size="half a gigabyte"
+    echo "setup: requirements ($size the first time)"
     "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "${options[@]}"
 }
 
@@ -87,8 +90,11 @@ build_package() {
 }
 
 stamp=$VENV/.emoflow_setup
-if [ -f "$stamp" ] && [ -f install/setup.bash ] && [ "$(cat "$stamp")" = "$(digest)" ]; then
-    exit 0
+if [ -f "$stamp" ] && [ -f install/setup.bash ]; then
+    read -r made parts <"$stamp"
+    if [ "$made" = "$(digest)" ] && [[ $parts == full || $PARTS == light ]]; then
+        exit 0
+    fi
 fi
 if ! runs_wanted_python "$VENV/bin/python" || [ ! -x "$VENV/bin/uv" ]; then
     make_venv
@@ -98,4 +104,4 @@ rm -rf build install
 # numba does not notice changes in functions that another file's kernel calls.
 find emoflow_ros msg_adapters -name '*.nb[ic]' -delete
 build_package
-digest >"$stamp"
+echo "$(digest) $PARTS" >"$stamp"

@@ -10,7 +10,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCKS = ("requirements", "requirements-ros", "requirements-messages")
-LOCK_OF = {name: name for name in LOCKS} | {"requirements-test": "requirements"}
+LOCK_OF = {name: name for name in LOCKS} | {
+    "requirements-torch": "requirements",
+    "requirements-test": "requirements",
+}
 
 
 def entry_points() -> dict[str, tuple[str, str]]:

@@ -65,6 +65,11 @@ class WindowEvents:
         )
         return WindowEvents(x, y, s, weights * np.float32(np.sqrt(step)))
 
+    def between(self, begin: float, end: float) -> "WindowEvents":
+        """Take the events of a part of the window, times in [0, 1]."""
+        inside = (self.s >= begin) & (self.s <= end)
+        return WindowEvents(*(c[inside] for c in (self.x, self.y, self.s, self.weights)))
+
     def __len__(self) -> int:
         return len(self.x)
 
@@ -91,6 +96,7 @@ class ImageContrast(Protocol):
         flow: F32,
         vector: NDArray[np.float64],
         band: NDArray[np.float64],
+        ref: float = 0.5,
     ) -> float:
         """Add the contrast's gradient and curvature to the normal equations; return it."""
         ...

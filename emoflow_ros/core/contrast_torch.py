@@ -92,13 +92,14 @@ class TorchContrast:
         flow: F32,
         vector: NDArray[np.float64],
         band: NDArray[np.float64],
+        ref: float = 0.5,
     ) -> float:
         """Add the contrast's gradient and curvature at a field to the normal equations.
 
         Returns:
             The contrast.
         """
-        self._load(events, flow)
+        self._load(events, flow, ref)
         self._run()
         self._answer_on_host.copy_(self._answer)  # waits
         answer = self._answer_on_host.numpy()
@@ -107,9 +108,9 @@ class TorchContrast:
         assembly.gather_cells(gradient, curvature, self._area, vector, band)
         return float(answer[0])
 
-    def _load(self, events: WindowEvents, flow: F32) -> None:
+    def _load(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> None:
         """Send the window's events, where they are new, and the field with its acceleration."""
-        self._events.load(events)
+        self._events.load(events, ref)
         field = self._field_on_host.numpy().reshape(*self.lattice.shape[:3], 4)
         field[..., :2] = flow
         field[..., 2:] = self.lattice.acceleration(flow)[:, :, None]

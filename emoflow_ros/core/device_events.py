@@ -7,7 +7,6 @@ from torch import Tensor
 from emoflow_ros.core.contrast import STIFFNESS_STRIDE, WindowEvents
 from emoflow_ros.core.lattice import Lattice
 
-_REFERENCE = 0.5  # time that events are warped to, in windows: the middle
 _BLOCK = 64  # slots; on a DAVIS346 with 30 000 events about an eighth stays empty
 
 
@@ -43,6 +42,7 @@ class DeviceEvents:
         slots = blocks * _BLOCK
         self._staging = host_buffer((4, capacity), device)
         self._loaded: WindowEvents | None = None
+        self._ref = 0.5
         self._per_px = torch.tensor(lattice.per_px, device=device)[:, None]
         steps = torch.tensor([lattice.rows * lattice.times, lattice.times, 1])
         corners = torch.cartesian_prod(*[torch.arange(2)] * 3)  # time innermost
@@ -57,13 +57,17 @@ class DeviceEvents:
         self.basis = torch.zeros(slots, 8, device=device)
         self.members = torch.zeros(cells, blocks, device=device)
 
-    def load(self, events: WindowEvents) -> None:
+    def load(self, events: WindowEvents, ref: float = 0.5) -> None:
         """Upload a window's events and sort them, unless they are the last ones loaded.
+
+        Args:
+            events: of the window.
+            ref: the reference time that they will be warped to.
 
         Raises:
             ValueError: more events than the capacity.
         """
-        if events is self._loaded:
+        if events is self._loaded and ref == self._ref:
             return
         count = len(events)
         if count > self.capacity:
@@ -72,19 +76,20 @@ class DeviceEvents:
         np.stack([events.x, events.y, events.s, events.weights], out=staged.numpy())
         self.columns[:, :count].copy_(staged, non_blocking=True)
         self.columns[:, count:].zero_()
+        self._ref = ref
         self._fill_slots()
         self._loaded = events
 
     def _fill_slots(self) -> None:
-        cell, _ = self._place(self.columns[:, :-1], 0.5 * (self.columns[2, :-1] + _REFERENCE))
+        cell, _ = self._place(self.columns[:, :-1], 0.5 * (self.columns[2, :-1] + self._ref))
         source = self._sources(self._flat(cell))
         slotted = self.columns[:, source]
         self.xy.copy_(slotted[:2].T)
         self.weights.copy_(slotted[3])
-        self.lever.copy_((_REFERENCE - slotted[2])[:, None])
+        self.lever.copy_((self._ref - slotted[2])[:, None])
         self.copies.copy_(STIFFNESS_STRIDE * (source % STIFFNESS_STRIDE == 0))
         # The change in time acts through the acceleration, too: as at half the way.
-        _, part = self._place(slotted, 0.5 * (slotted[2] + _REFERENCE))
+        _, part = self._place(slotted, 0.5 * (slotted[2] + self._ref))
         self.basis.copy_(_corner_weights(part))
         cell, part = self._place(slotted, slotted[2])
         self.hats.copy_(_corner_weights(part))

@@ -72,6 +72,8 @@ class Quality:
         inlier_fraction: share of the residuals within 3 robust scales.
         runtime_s: wall time of the whole estimate.
         warm: whether the previous window's result was the start.
+        change_px: how far the first or the last third of the window moves off the fit, in px of
+            the working image: what the fit's model of time leaves out. NaN where not known.
         doubt: probability that the estimate is wrong (core.reliability); NaN where not known.
     """
 
@@ -83,6 +85,7 @@ class Quality:
     inlier_fraction: float = float("nan")
     runtime_s: float = 0.0
     warm: bool = False
+    change_px: float = float("nan")
     doubt: float = float("nan")
 
 

@@ -8,6 +8,7 @@ from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_windows import MotionWindows
+from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.core.reliability import ReliableOnly
 
 
@@ -18,8 +19,9 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
     network no numba.
 
     Raises:
-        InputError: the configuration asks for a device that is not there.
+        InputError: the configuration asks for a device, or for PyTorch, that is not there.
     """
+    require_torch(config)
     if isinstance(config.estimator, LatticeConfig):
         estimator = _make_lattice_estimator(camera, config.estimator, config.imu)
     else:

@@ -111,7 +111,9 @@ class LatticeEstimator:
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            result = self._result(window, self._quality(len(events), stop, gain, warm=warm))
+            change = self._fit.change_px(events)
+            quality = self._quality(len(events), stop, gain, warm=warm, change_px=change)
+            result = self._result(window, quality)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
@@ -267,7 +269,9 @@ class LatticeEstimator:
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
         return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
 
-    def _quality(self, used: int, stop: str, gain: float, *, warm: bool) -> Quality:
+    def _quality(
+        self, used: int, stop: str, gain: float, *, warm: bool, change_px: float = float("nan")
+    ) -> Quality:
         return Quality(
             events=used,
             iterations=self._iterations,
@@ -275,6 +279,7 @@ class LatticeEstimator:
             contrast_gain=gain,
             runtime_s=time.perf_counter() - self._started,
             warm=warm,
+            change_px=change_px,
         )
 
     def _nothing(

@@ -13,6 +13,7 @@ _FAST = 0.9  # quantile of the displacements that counts: where it is fast, warp
 _LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns back on its way
 _FIRST = 0.25  # of the window in the first part, before any motion is known ...
 _SECOND = 2 / 3  # ... and where that shows none
+_CHANGE_PX = 2.0  # of the working image, off the fit: what else a part may contain
 _TOO_SHORT = 1.5  # a first part that the motion allows to be so much longer is taken anew
 
 
@@ -26,10 +27,12 @@ class MotionWindows:
     grow.
 
     A displacement is the length of the path: a camera that shakes leaves events on its way back,
-    too. The first part holds a quarter of its window's events, so that fast motion is not lost at
-    once. Where it shows slow motion the same window is estimated anew as a longer part, and where
-    it shows none as two thirds. Where a later part gives no estimate the next one has twice its
-    events, until it is a whole window; then it is min_count events.
+    too. A motion that changes within a part by more than the fit can follow (`change_px` of its
+    quality) shortens the next one in the same way. The first part holds a quarter of its window's
+    events, so that fast motion is not lost at once. Where it shows slow motion the same window is
+    estimated anew as a longer part, and where it shows none as two thirds. Where a later part gives
+    no estimate the next one has twice its events, until it is a whole window; then it is min_count
+    events.
 
     Args:
         estimator: of the parts.
@@ -92,7 +95,11 @@ class MotionWindows:
     def _next_count(self, estimate: Estimate, part: Window, window: Window) -> int:
         if estimate.status is Status.OK and estimate.flow is not None:
             moved = max(_STILL_PX, self._displacement(estimate.flow, part))
-            return round(len(part.events) * self._longest_px / moved)
+            longer = self._longest_px / moved
+            change = estimate.quality.change_px
+            if change > 0:  # it grows with the square of the time
+                longer = min(longer, (_CHANGE_PX / change) ** 0.5)
+            return round(len(part.events) * longer)
         return 0 if part is window else 2 * len(part.events)
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:

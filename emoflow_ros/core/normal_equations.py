@@ -52,6 +52,13 @@ class NormalEquations:
         xy = band[:, :, 0, 1].sum(1) + band[:, :-1, 0, 3].sum(1) + band[:, :-1, 1, 1].sum(1)
         return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
 
+    def of_common_shift(self) -> tuple[Array, Array]:
+        """Negative gradient (2,) and second derivatives (2, 2) by a flow that all nodes share."""
+        along = self.band[:, 0] + 2 * self.band[:, 2::2].sum(axis=1)
+        xx, yy = along.reshape(-1, 2).sum(axis=0)
+        xy = self.band[:, 1::2].sum()
+        return self.vector.reshape(-1, 2).sum(axis=0), np.array([[xx, xy], [xy, yy]])
+
     def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
         """Add weighted squares of residuals that each concern one node at one time.
 

@@ -63,12 +63,13 @@ class EstimateReader:
         w, v = fit.motion.at(0.5)
         rotation = self._rotation(w, model)
         evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
-        covariance = self._covariance(belief, rotation, evidence, window, model)
+        jump = self.uncertainty.jump_of(rotation / window.duration)
+        covariance = self._covariance(belief, jump, evidence, window, model)
         travels = model is not MotionModel.ROTATION
-        if travels and self._config.model == "auto" and not self.uncertainty.claims_travel:
-            model, travels = MotionModel.ROTATION, False
-            covariance = without_travel(covariance)
         front = np.copysign(1.0, selector.agreement) if travels else 0.0
+        if self._config.model == "auto" and not self.uncertainty.claims(front * v) and travels:
+            model, front = MotionModel.ROTATION, 0.0
+            covariance = without_travel(covariance)
         lattice, field = self._image.on_sensor(fit.lattice, fit.flow)
         motion = SplineMotion(
             window.t_start,
@@ -81,7 +82,7 @@ class EstimateReader:
             window.t_end,
             belief.t,
             Status.OK,
-            self._judge(quality, fit.motion, evidence),
+            self._judge(quality, fit.motion, evidence, window, jump),
             model,
             front * v,
             rotation / window.duration,
@@ -115,7 +116,7 @@ class EstimateReader:
         return rotation
 
     def _covariance(
-        self, belief: Belief, rotation: Array, evidence: Array, window: Window, model: MotionModel
+        self, belief: Belief, jump: float, evidence: Array, window: Window, model: MotionModel
     ) -> Array:
         if self._config.model == "translation":
             return belief.across()  # that the camera does not turn is known
@@ -126,16 +127,20 @@ class EstimateReader:
         covariance = covariance_of(belief, flow, fit.evidence, window.duration, fit.known)
         if fit.known is not None:
             return covariance
-        return uncertainty.calibrated(covariance, rotation / window.duration, evidence)
+        return uncertainty.calibrated(covariance, jump, evidence)
 
-    def _judge(self, quality: Quality, motion: Motion, evidence: Array) -> Quality:
+    def _judge(
+        self, quality: Quality, motion: Motion, evidence: Array, window: Window, jump: float
+    ) -> Quality:
         """Add residuals of the epipolar constraint and the probability of failure."""
         residual = self._epipolar.residuals(self._fit.node_flow, motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
         inliers = float(np.mean(np.abs(residual) <= 3 * scale))
-        return replace(
+        judged = replace(
             quality,
             residual_px=scale * float(self._image.sensor_px.max()),
             inlier_fraction=inliers,
-            doubt=probability_of_failure(evidence, inliers, quality.events, quality.contrast_gain),
         )
+        flow = self._fit.node_flow.mean(axis=1)
+        doubt = probability_of_failure(evidence, flow, window.duration, jump, judged)
+        return replace(judged, doubt=doubt)

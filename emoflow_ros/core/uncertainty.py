@@ -26,7 +26,10 @@ _BIAS_PX = 0.15  # each polynomial of the flow's smooth error
 _POSSIBLE = 20.0  # cost over that of the best motion at which another one is 1/e as likely
 _AS_ROTATION = 20.0  # weight of a camera that only turns, against 1 of each direction of travel
 _CLAIMED = 0.45  # rad: spread of the possible directions of travel from which none is claimed
-_SCALE = 0.41  # of the sum of the three parts, at ...
+_LASTING = 3  # windows before this one, of which ...
+_CONFIRMING = 2  # must have told the same direction, up to ...
+_SAME = np.cos(np.radians(40.0))  # and none another one
+_SCALE = np.repeat([0.2, 0.41], 3)  # of the sum of the three parts for (v, w), at ...
 _USUAL_EVIDENCE = 645.0  # px^-2
 _OF_EVIDENCE = -0.8  # exponent
 _OF_JUMP = 0.05  # variance of w in squares of its second difference over three windows
@@ -56,12 +59,24 @@ class MotionUncertainty:
         self._mean = np.zeros(6)
         self._spread = np.zeros((6, 6))
         self._before: list[Array] = []
+        self._directions: list[Array] = []
 
-    @property
-    def claims_travel(self) -> bool:
-        """Whether the motions that are possible agree on the direction of travel."""
+    def claims(self, v: Array) -> bool:
+        """Tell whether a direction of travel can be claimed. Call it once per window.
+
+        The motions that are possible have to agree on it, and two of the last three windows must
+        have told the same, and none another one: a direction that a few events suggest does not
+        last.
+
+        Args:
+            v: (3,) unit, with its sign.
+        """
         mean = self._mean[3:]
-        return float(np.trace(self._spread[3:, 3:]) + mean @ mean) < _CLAIMED**2
+        agree = float(np.trace(self._spread[3:, 3:]) + mean @ mean) < _CLAIMED**2
+        told = v if agree else np.zeros(3)
+        earlier = [told @ before for before in self._directions if before.any()]
+        self._directions = [*self._directions, told][-_LASTING:]
+        return agree and len(earlier) >= _CONFIRMING and bool(min(earlier) > _SAME)
 
     @property
     def mean_rotation(self) -> Array:
@@ -137,22 +152,27 @@ class MotionUncertainty:
         covariance[3:, 3:] += self._of_bias(_with(matrix, known), response, flow) / duration**2
         return covariance
 
-    def calibrated(self, covariance: Array, w: Array, evidence: Array) -> Array:
-        """Scale a covariance by the evidence, and count a jump of w since the last windows.
+    def jump_of(self, w: Array) -> float:
+        """Measure how far w (3,) is from where the last two windows lead, rad/s.
 
         Call it once per window.
-
-        Args:
-            covariance: (6, 6) of (v, w), or of w alone with -1 first.
-            w: (3,) rad/s.
-            evidence: (nodes,) the events' information on the flow (trace), px^-2.
         """
         jump = _FIRST_JUMP
         if len(self._before) == 2:
             jump = float(np.linalg.norm(w - 2 * self._before[1] + self._before[0]))
         self._before = [*self._before[-1:], w]
-        scale = _SCALE * ((1 + evidence.sum()) / _USUAL_EVIDENCE) ** _OF_EVIDENCE
-        result: Array = scale * covariance
+        return jump
+
+    def calibrated(self, covariance: Array, jump: float, evidence: Array) -> Array:
+        """Scale a covariance by the evidence, and count a jump of w since the last windows.
+
+        Args:
+            covariance: (6, 6) of (v, w), or of w alone with -1 first.
+            jump: see `jump_of`.
+            evidence: (nodes,) the events' information on the flow (trace), px^-2.
+        """
+        scale = np.sqrt(_SCALE * ((1 + evidence.sum()) / _USUAL_EVIDENCE) ** _OF_EVIDENCE)
+        result: Array = np.outer(scale, scale) * covariance
         result[3:, 3:] += _OF_JUMP * min(jump, _LARGEST_JUMP) ** 2 * np.eye(3)
         return without_travel(result) if covariance[0, 0] < 0 else result
 

@@ -27,7 +27,11 @@ class InputOptions:
         choices=tuple(Timestamps),
     )
     queue_windows: int = option(
-        8, "windows that may wait for the worker; one more drops the oldest", minimum=1, maximum=100
+        1,
+        "windows that may wait for the worker; one more drops the oldest, but those that one "
+        "message completes; give more to estimate every window, later",
+        minimum=1,
+        maximum=100,
     )
     silence_s: float = option(
         2.0,

@@ -11,6 +11,8 @@ from sensor_msgs.msg import CameraInfo
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
 from emoflow_ros.node.calibration_path import calibration_path
@@ -71,6 +73,10 @@ class Pipeline:
         made: ExitStack,
     ) -> None:
         options = settings.node
+        if options.on_missing_device == "refuse" or not isinstance(
+            settings.config.estimator, LatticeConfig
+        ):
+            require_torch(settings.config)
         path = options.camera.calibration_file
         self.statistics = Statistics()
         self.is_topic_used = False
@@ -230,10 +236,9 @@ class Pipeline:
             return
         self.is_topic_used = True
         config, wishes = self._settings.config, self._outputs.wishes
-        for task in tasks:
-            left_out = self._supervisor.queue.put(Job(task, self._camera, config, wishes))
-            if left_out is not None:
-                self._drop(left_out.task, self._supervisor.obstacle or _SLOW)
+        jobs = [Job(task, self._camera, config, wishes) for task in tasks]
+        for left_out in self._supervisor.queue.put(jobs):
+            self._drop(left_out.task, self._supervisor.obstacle or _SLOW)
 
     def _wait(self, task: Task) -> None:
         self._node.get_logger().warning(

@@ -2,30 +2,32 @@
 
 import threading
 from collections import deque
+from collections.abc import Sequence
 
 
 class DropOldestQueue[T]:
     """Hand items from one thread to another without ever blocking the one that puts.
 
     Args:
-        capacity: items kept; one more drops the oldest.
+        capacity: items kept; one more drops the oldest. Items that come together are all kept.
     """
 
     def __init__(self, capacity: int) -> None:
-        self._items: deque[T] = deque(maxlen=capacity)
+        self._capacity = capacity
+        self._items: deque[T] = deque()
         self._changed = threading.Condition()
         self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._items)
 
-    def put(self, item: T) -> T | None:
-        """Append an item; return, and count as `dropped`, the one that had to make room."""
+    def put(self, items: Sequence[T]) -> list[T]:
+        """Append items; return, and count as `dropped`, those that had to make room."""
         with self._changed:
-            full = len(self._items) == self._items.maxlen
-            oldest = self._items.popleft() if full else None
-            self.dropped += full
-            self._items.append(item)
+            self._items.extend(items)
+            excess = len(self._items) - max(self._capacity, len(items))
+            oldest = [self._items.popleft() for _ in range(excess)]
+            self.dropped += len(oldest)
             self._changed.notify()
         return oldest
 

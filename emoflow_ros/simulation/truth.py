@@ -34,6 +34,8 @@ class GroundTruth:
         self._start = start
         bearings = exact_bearings(camera)
         self._rays = np.concatenate([bearings, np.ones((*bearings.shape[:2], 1))], axis=-1)
+        self._pixels = camera.project(self._rays)
+        self._last: tuple[int, tuple[Image, NDArray[np.int64]]] | None = None
 
     def pose(self, t: int) -> NDArray[np.float64]:
         """World-from-camera transform, (4, 4), metres."""
@@ -51,7 +53,7 @@ class GroundTruth:
 
     def depth(self, t: int) -> Image:
         """Depth along the optical axis, (H, W) m."""
-        return self._cast(t)[0]
+        return self._cast(t)[0].copy()
 
     def moving_mask(self, t: int) -> NDArray[np.bool_]:
         """Pixels (H, W) that see an object that moves by itself."""
@@ -83,8 +85,7 @@ class GroundTruth:
             on_mover = body == MOVING + k
             moved[on_mover] = _transform(self._mover_from_to(k, t0, t1), points[on_mover])
         moved[moved[..., 2] <= 0] = np.nan
-        pixels = self._camera.project(points)
-        return self._camera.project(moved) - pixels
+        return self._camera.project(moved) - self._pixels
 
     def rectified(self) -> "GroundTruth":
         """The same truth on the pixel grid of the camera without its lens distortion."""
@@ -95,7 +96,10 @@ class GroundTruth:
         return (t - self._start) / NS_PER_S
 
     def _cast(self, t: int) -> tuple[Image, NDArray[np.int64]]:
-        return self._caster.cast(*self._scene.poses(self._seconds(t)))
+        """Depth and bodies; several images of one time are usual, so the last cast is kept."""
+        if self._last is None or self._last[0] != t:
+            self._last = t, self._caster.cast(*self._scene.poses(self._seconds(t)))
+        return self._last[1]
 
     def _mover_velocity(self, k: int, t: int, points: Image) -> Image:
         """Velocity of points (N, 3) on mover k against the world, in the camera's axes."""

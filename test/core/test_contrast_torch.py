@@ -57,16 +57,16 @@ def random_flow(rng, shape, scale: float = 4.0):
     return rng.normal(scale=scale, size=shape).astype(np.float32)
 
 
-def linearised(contrast, events, flow) -> tuple[float, NormalEquations]:
+def linearised(contrast, events, flow, ref: float = 0.5) -> tuple[float, NormalEquations]:
     equations = NormalEquations(contrast.lattice, 0)
-    value = contrast.linearise(events, flow, equations.vector, equations.band)
+    value = contrast.linearise(events, flow, equations.vector, equations.band, ref)
     return value, equations
 
 
-def assert_alike(contrast, reference, events, flow):
+def assert_alike(contrast, reference, events, flow, ref: float = 0.5):
     """Float32 sums in another order: 1e-6 of the largest entries; 1e-5 is asked for."""
-    value, equations = linearised(contrast, events, flow)
-    expected_value, expected = linearised(reference, events, flow)
+    value, equations = linearised(contrast, events, flow, ref)
+    expected_value, expected = linearised(reference, events, flow, ref)
     assert value == pytest.approx(expected_value, rel=1e-5)
     for mine, its in ((equations.vector, expected.vector), (equations.band, expected.band)):
         assert np.abs(its).max() > 0.01
@@ -91,6 +91,14 @@ def test_steps_and_windows_follow_each_other(rng, device):
         events = moving_dots(rng, count)
         for _ in range(2):
             assert_alike(contrast, reference, events, random_flow(rng, grid.shape))
+
+
+def test_the_same_events_warped_to_one_time_after_another(rng, device):
+    grid = lattice()
+    contrast = TorchContrast(grid, 0.25, device=device, capacity=CAPACITY)
+    events, flow = moving_dots(rng), random_flow(rng, grid.shape)
+    for ref in (0.5, 1 / 6, 5 / 6):
+        assert_alike(contrast, Contrast(grid, 0.25), events, flow, ref)
 
 
 def test_events_of_one_cell_and_events_that_leave_the_image(rng, device):

@@ -132,6 +132,24 @@ def test_the_displacement_is_the_length_of_the_path():
     assert [len(w.events) for w in inner.windows] == [250, 125]  # 16 px, half as much next
 
 
+@pytest.mark.parametrize(("change_px", "events"), [(2.0, 250), (8.0, 125), (32.0, 62)])
+def test_a_change_that_the_fit_leaves_out_shortens_the_next_part(change_px, events):
+    """By the square root of what it is over 2 px; the displacement would allow twice the events."""
+
+    class Changing(ExactEstimator):
+        def estimate(self, window):
+            found = super().estimate(window)
+            return replace(found, quality=replace(found.quality, change_px=change_px))
+
+    path = Path([200.0] * 3)
+    inner = Changing(path)
+    estimator = MotionWindows(inner, CAMERA, policy(bound=10.0, min_count=50))
+    window = Window(START, START + 100 * MS, path.events[:1000])
+    for _ in range(2):
+        estimator.estimate(window)
+    assert len(inner.windows[-1].events) == events
+
+
 def test_the_displacement_is_the_bound():
     path = Path([200.0] * 6)
     for part in run(path, policy(8.0))[2:]:

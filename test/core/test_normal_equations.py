@@ -115,6 +115,13 @@ def test_node_information_is_that_of_a_flow_constant_in_time(times):
     np.testing.assert_allclose(equations.node_information(), same.T @ blocks @ same, atol=1e-12)
 
 
+def test_a_common_shift_meets_the_sums_of_all_second_derivatives(equations):
+    common = np.tile(np.eye(2), (N // 2, 1))
+    force, stiffness = equations.of_common_shift()
+    np.testing.assert_allclose(force, common.T @ equations.vector)
+    np.testing.assert_allclose(stiffness, common.T @ dense(equations.band) @ common)
+
+
 def test_clear_starts_anew(equations):
     add_border(equations, np.random.default_rng(7))
     equations.clear()

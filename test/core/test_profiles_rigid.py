@@ -26,7 +26,7 @@ class Runs:
 
 @pytest.fixture(scope="module")
 def calm() -> Runs:
-    recording = simulate("calm", duration_s=0.3, seed=1, fps=500, start_ns=START)
+    recording = simulate("calm", duration_s=0.55, seed=1, fps=500, start_ns=START)
     return Runs(recording, *(warm_of(recording, name) for name in ("rigid", "realtime")))
 
 
@@ -57,9 +57,9 @@ def rms(values: np.ndarray) -> float:
 
 
 def test_flow_of_warm_windows_is_within_a_pixel(calm):
-    assert len(calm.rigid) == 2
-    for estimate in calm.rigid:
-        assert (estimate.status, estimate.model) == (Status.OK, MotionModel.FULL)
+    assert len(calm.rigid) == 6
+    for estimate in calm.rigid[:2]:
+        assert estimate.status is Status.OK
         assert estimate.quality.warm
         interval = estimate.t_start, estimate.t_end
         truth = calm.recording.truth.displacement(*interval)
@@ -73,6 +73,9 @@ def test_flow_is_a_motion_field(calm):
 
     Across the lines of the reported motion, which is a mean over the possible ones, more is left.
     """
-    for rigid, realtime in zip(calm.rigid, calm.realtime, strict=True):
+    for rigid, realtime in zip(calm.rigid[:2], calm.realtime[:2], strict=True):
         assert 0 < rigid.quality.residual_px < 0.25 * realtime.quality.residual_px
-        assert rms(across_epipolar_lines(calm.recording, rigid)) < 0.1
+    claiming = [e for e in calm.rigid if e.model is MotionModel.FULL]
+    assert claiming
+    for estimate in claiming:
+        assert rms(across_epipolar_lines(calm.recording, estimate)) < 0.1

@@ -76,7 +76,24 @@ def test_a_direction_is_claimed_unless_another_one_far_off_is_possible(
     uncertainty, angle, excess, claims
 ):
     uncertainty.weigh_others((W, V), *other(W, turned(angle), excess))
-    assert uncertainty.claims_travel is claims
+    assert [uncertainty.claims(V) for _ in range(4)][-1] is claims
+
+
+def test_a_direction_is_claimed_once_two_of_the_last_windows_have_told_the_same(uncertainty):
+    """Signs count, 40 degrees may lie between, and none of three may have told another one."""
+    directions = [V, V, turned(0.6), V, turned(-0.6), V, V, V, V, -V]
+    expected = [False, False, True, True, False, True, True, True, True, False]
+    assert [uncertainty.claims(v) for v in directions] == expected
+
+
+def test_a_window_of_doubt_tells_no_direction(uncertainty):
+    assert [uncertainty.claims(V) for _ in range(3)] == [False, False, True]
+    uncertainty.weigh_others((W, V), *other(W, turned(1.2), 0.0))
+    assert not uncertainty.claims(V)
+    uncertainty.weigh_others((W, V), *other(W, V, 1e9))
+    assert uncertainty.claims(V)  # two of three
+    uncertainty.forget()
+    assert [uncertainty.claims(V) for _ in range(3)] == [False, False, True]
 
 
 def test_two_motions_that_explain_the_flow_alike_give_their_mean_and_spread(uncertainty):
@@ -101,11 +118,11 @@ def test_a_camera_that_only_turns_weighs_as_much_as_twenty_directions(uncertaint
 
 
 def test_a_jump_of_w_counts_and_an_even_change_does_not(uncertainty):
-    """The covariance of 645 px^-2 of evidence is scaled by 0.41."""
+    """The covariance of 645 px^-2 of evidence is scaled by 0.41, and by 0.2 for v."""
     evidence = np.array([644.0])
     small = np.eye(6) * 1e-9
     variances = [
-        uncertainty.calibrated(small, np.array([w, 0.0, 0.0]), evidence)[3, 3]
+        uncertainty.calibrated(small, uncertainty.jump_of(np.array([w, 0.0, 0.0])), evidence)[3, 3]
         for w in (0.1, 0.2, 0.3, 0.4, 0.9)
     ]
     first = 0.05 * np.radians(10) ** 2
@@ -115,15 +132,15 @@ def test_a_jump_of_w_counts_and_an_even_change_does_not(uncertainty):
 
 def test_more_evidence_makes_the_covariance_smaller_but_for_jumps(uncertainty):
     usual, much = (
-        MotionUncertainty(LATTICE, EPIPOLAR).calibrated(np.eye(6), W, np.array([total - 1.0]))
+        MotionUncertainty(LATTICE, EPIPOLAR).calibrated(np.eye(6), 0.0, np.array([total - 1.0]))
         for total in (645.0, 6450.0)
     )
-    np.testing.assert_allclose(usual[:3, :3], 0.41 * np.eye(3))
-    np.testing.assert_allclose(much[:3, :3], 0.41 * 10**-0.8 * np.eye(3))
+    np.testing.assert_allclose(usual[:3, :3], 0.2 * np.eye(3))
+    np.testing.assert_allclose(much[:3, :3], 0.2 * 10**-0.8 * np.eye(3))
 
 
 def test_a_covariance_without_travel_stays_one(uncertainty):
-    found = uncertainty.calibrated(without_travel(np.eye(6)), W, np.array([644.0]))
+    found = uncertainty.calibrated(without_travel(np.eye(6)), 0.0, np.array([644.0]))
     assert found[0, 0] == -1 and not found[:3, 3:].any()
 
 

@@ -33,6 +33,7 @@ CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 MS = 1_000_000
 WAIT_S = 60.0  # far more than is needed: what fails on a slow machine is not the node
 
+WAITING = "input.queue_windows:=8"
 _CAMERA_INFO_S = 0.2
 _DRIVER_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -222,11 +223,15 @@ class Processes:
     def start_node(
         self, factory: str = FACTORY, parameters: Sequence[str] = (), *arguments: str
     ) -> subprocess.Popen[bytes]:
-        """Start the node as its console script does; `parameters` as in `name:=value`."""
+        """Start the node as its console script does; `parameters` as in `name:=value`.
+
+        Windows wait unless the parameters say otherwise: tests publish faster than a camera.
+        """
         code = (
             f"import sys; from emoflow_ros.node.executable import main; sys.exit(main('{factory}'))"
         )
-        given = [part for parameter in parameters for part in ("-p", parameter)]
+        given = [part for parameter in (WAITING, *parameters)
+                 for part in ("-p", parameter)]  # fmt: skip
         return self.start(sys.executable, "-c", code, "--ros-args", *given, *arguments)
 
     def start_fake(self, estimator: str, *arguments: str) -> subprocess.Popen[bytes]:

@@ -47,7 +47,7 @@ class Bench:
             np.ones(count, bool),
         )
         task = Task(Window(t, t + 100, events), epoch, 0, "camera", time.monotonic())
-        self.supervisor.queue.put(Job(task, self.camera, self.config, self.wishes))
+        self.supervisor.queue.put([Job(task, self.camera, self.config, self.wishes)])
 
     def result(self) -> Result:
         outcome = self.outcomes.get(timeout=WAIT_S)

@@ -53,7 +53,7 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
     wishes = Wishes(twist_rate=NS_PER_S / PERIOD)
     for window in windows:
         task = Task(window, 0, 0, "camera", time.monotonic())
-        supervisor.queue.put(Job(task, CAMERA, CONFIG, wishes))
+        supervisor.queue.put([Job(task, CAMERA, CONFIG, wishes)])
     supervisor.start()
     try:
         last = -PERIOD
