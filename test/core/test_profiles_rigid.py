@@ -26,13 +26,14 @@ class Runs:
 
 @pytest.fixture(scope="module")
 def calm() -> Runs:
-    recording = simulate("calm", duration_s=0.55, seed=1, fps=500, start_ns=START)
+    recording = simulate("calm", duration_s=0.3, seed=1, fps=500, start_ns=START)
     return Runs(recording, *(warm_of(recording, name) for name in ("rigid", "realtime")))
 
 
 def warm_of(recording: SimulatedRecording, profile: str) -> list[Estimate]:
-    """The windows are the same for each."""
-    config = replace(load_config(profile), window=load_config("rigid").window)
+    """The windows are the same for each, and a direction of travel is told in all of them."""
+    told = load_config(profile, {"estimator.model": "full"})
+    config = replace(told, window=load_config("rigid").window)
     estimator = make_estimator(recording.camera, config)
     windows = WindowSlicer(config.window).push(recording.events)
     _, *warm = [estimator.estimate(window) for window in windows]
@@ -57,9 +58,9 @@ def rms(values: np.ndarray) -> float:
 
 
 def test_flow_of_warm_windows_is_within_a_pixel(calm):
-    assert len(calm.rigid) == 6
-    for estimate in calm.rigid[:2]:
-        assert estimate.status is Status.OK
+    assert len(calm.rigid) == 2
+    for estimate in calm.rigid:
+        assert (estimate.status, estimate.model) == (Status.OK, MotionModel.FULL)
         assert estimate.quality.warm
         interval = estimate.t_start, estimate.t_end
         truth = calm.recording.truth.displacement(*interval)
@@ -73,9 +74,6 @@ def test_flow_is_a_motion_field(calm):
 
     Across the lines of the reported motion, which is a mean over the possible ones, more is left.
     """
-    for rigid, realtime in zip(calm.rigid[:2], calm.realtime[:2], strict=True):
+    for rigid, realtime in zip(calm.rigid, calm.realtime, strict=True):
         assert 0 < rigid.quality.residual_px < 0.25 * realtime.quality.residual_px
-    claiming = [e for e in calm.rigid if e.model is MotionModel.FULL]
-    assert claiming
-    for estimate in claiming:
-        assert rms(across_epipolar_lines(calm.recording, estimate)) < 0.1
+        assert rms(across_epipolar_lines(calm.recording, rigid)) < 0.1
