@@ -72,7 +72,7 @@ install_requirements() {
         options+=(--requirements requirements-torch.in --requirements requirements-test.in)
     [ -d "$ROS" ] || options+=(--requirements requirements-ros.in --constraints requirements-ros.lock)
     local size="several gigabytes"
-    [ "$PARTS" = light ] && size="half a gigabyte"
+    [ "$PARTS" = light ] && size="a gigabyte"
     echo "setup: requirements ($size the first time)"
     "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "${options[@]}"
 }

@@ -114,7 +114,7 @@ def expected(recording: SimulatedRecording) -> list[Estimate]:
     """The estimates of the same windows without ROS."""
     from emoflow_ros.core.factory import make_estimator
 
-    config = load_config("realtime")
+    config = load_config("realtime", {"estimator.max_doubt": 1.0})
     estimator = make_estimator(CAMERA, config)
     return [estimator.estimate(w) for w in WindowSlicer(config.window).push(recording.events)]
 
@@ -122,7 +122,7 @@ def expected(recording: SimulatedRecording) -> list[Estimate]:
 @pytest.fixture(scope="module")
 def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
     with Processes(tmp_path_factory.mktemp("real")) as made:
-        yield SharedNode(made, FACTORY, "input.queue_windows:=50")
+        yield SharedNode(made, FACTORY, "input.queue_windows:=50", "estimator.max_doubt:=1.0")
 
 
 def twists(peer: Peer) -> tuple[list[int], np.ndarray]:
