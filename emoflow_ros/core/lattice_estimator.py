@@ -22,6 +22,7 @@ from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
 from emoflow_ros.core.memory import Memory
+from emoflow_ros.core.motion_change import MotionChange
 from emoflow_ros.core.preparation import prepare
 from emoflow_ros.core.reading import EstimateReader
 from emoflow_ros.core.selection import ModelSelector
@@ -65,6 +66,7 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
+        self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
@@ -111,7 +113,7 @@ class LatticeEstimator:
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            change = self._fit.change_px(events)
+            change = self._change.measure(events, self._fit.flow)
             quality = self._quality(len(events), stop, gain, warm=warm, change_px=change)
             result = self._result(window, quality)
         except np.linalg.LinAlgError:

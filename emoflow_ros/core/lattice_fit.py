@@ -32,10 +32,6 @@ _STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does 
 _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
 _STRUCTURE_INLIER_PX = 1.0
 
-_THIRD = 1 / 3  # of a window
-_FEW_EVENTS = 300  # tell nothing about a third
-_SHIFT_EVENTS = 3_000  # are enough at low resolution
-
 # w and v in the middle of the window from the motion's unknowns, (6, 25).
 TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
 
@@ -180,28 +176,6 @@ class LatticeFit:
         step = self._equations.solve().reshape(-1, self.lattice.times, 2)
         known = (self.known.mean, self.known.information) if self.known is not None else None
         return FreeFlow((self.node_flow + step).mean(axis=1), self.evidence, known)
-
-    def change_px(self, events: WindowEvents) -> float:
-        """Measure how far the first or the last third of the window moves off the fit, px.
-
-        One Newton step on the contrast of the third's events alone, for a velocity that the
-        whole image shares. The normal equations are overwritten.
-        """
-        return max(self._shift_px(events, begin) for begin in (0.0, 1 - _THIRD))
-
-    def _shift_px(self, events: WindowEvents, begin: float) -> float:
-        part = events.between(begin, begin + _THIRD)
-        if len(part) < _FEW_EVENTS:
-            return 0.0
-        equations = self._equations
-        equations.clear()
-        self.contrasts[0.25].linearise(
-            part.every(max(1, len(part) // _SHIFT_EVENTS)), self.flow,
-            equations.vector, equations.band, begin + _THIRD / 2,
-        )  # fmt: skip
-        force, stiffness = equations.of_common_shift()
-        regular = stiffness + 1e-6 * (1 + np.trace(stiffness)) * np.eye(2)
-        return float(np.linalg.norm(np.linalg.solve(regular, force))) * _THIRD
 
     def step_free(self) -> None:
         """Step the flow by contrast and smoothness alone."""

@@ -11,7 +11,6 @@ from sensor_msgs.msg import CameraInfo
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
@@ -73,10 +72,8 @@ class Pipeline:
         made: ExitStack,
     ) -> None:
         options = settings.node
-        if options.on_missing_device == "refuse" or not isinstance(
-            settings.config.estimator, LatticeConfig
-        ):
-            require_torch(settings.config)
+        if settings.config.method != "lattice":
+            require_torch(settings.config)  # else every worker would fail in the same way
         path = options.camera.calibration_file
         self.statistics = Statistics()
         self.is_topic_used = False

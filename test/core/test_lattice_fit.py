@@ -3,7 +3,6 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.contrast import WindowEvents
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_fit import LatticeFit
@@ -43,25 +42,3 @@ def test_flow_from_behind_the_camera_is_drawn_to_none(fit, sign):
 
 def test_without_a_known_side_nothing_is_behind(fit):
     assert not fit._front_term(fit.motion)[1].any()
-
-
-@pytest.mark.parametrize("late_px", [0.0, 1.0, 3.0])
-@pytest.mark.parametrize("turned", [False, True])
-def test_what_the_last_or_the_first_third_moves_off_the_fit(fit, late_px, turned):
-    """Dots move by 12 px in the window, and by more in a third at its end than the fit knows."""
-    rng = np.random.default_rng(0)
-    s = np.sort(rng.random(12_000)).astype(np.float32)
-    dots = rng.uniform([40, 40], [300, 220], (100, 2))[rng.integers(0, 100, len(s))]
-    way = 12.0 * s + 3 * late_px * np.maximum(s - 2 / 3, 0)
-    xy = (dots + np.outer(way, [0.6, 0.8])).astype(np.float32)
-    if turned:  # in time: the third at its beginning
-        s, xy = 1 - s[::-1], xy[::-1]
-    x, y = np.ascontiguousarray(xy.T)
-    events = WindowEvents(x, y, np.ascontiguousarray(s), np.ones_like(s))
-    fit.flow[:] = (-1 if turned else 1) * 12.0 * np.array([0.6, 0.8], np.float32)
-    assert fit.change_px(events) == pytest.approx(late_px, abs=0.3 + 0.1 * late_px)
-
-
-def test_a_third_with_few_events_tells_no_change(fit):
-    few = [np.full(800, value, np.float32) for value in (100.0, 100.0, 0.5, 1.0)]
-    assert fit.change_px(WindowEvents(*few)) == 0.0
