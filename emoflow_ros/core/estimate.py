@@ -74,6 +74,8 @@ class Quality:
         warm: whether the previous window's result was the start.
         change_px: how far the first or the last third of the window moves off the fit, in px of
             the working image: what the fit's model of time leaves out. NaN where not known.
+        second_look_px: how far a fresh fit of the flow, by the events alone, lies from this one, in
+            px of the working image (core.second_look). NaN where not known.
         doubt: probability that the estimate is wrong (core.reliability); NaN where not known.
     """
 
@@ -86,6 +88,7 @@ class Quality:
     runtime_s: float = 0.0
     warm: bool = False
     change_px: float = float("nan")
+    second_look_px: float = float("nan")
     doubt: float = float("nan")
 
 

@@ -1,6 +1,7 @@
 """The real-time estimator: a warm-started lattice fit per window."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,10 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_change import MotionChange
 from emoflow_ros.core.preparation import prepare
 from emoflow_ros.core.reading import EstimateReader
+from emoflow_ros.core.second_look import SecondLook, distance
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.structure import Structure
-from emoflow_ros.core.warm_flow import best_start, is_lost
+from emoflow_ros.core.warm_flow import best_start, fresh_start, is_lost
 from emoflow_ros.core.windows import Window
 from emoflow_ros.core.working_image import WorkingImage
 
@@ -67,6 +69,7 @@ class LatticeEstimator:
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
+        self._second_look = SecondLook(self.lattice, self._fit.contrasts, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
@@ -96,9 +99,10 @@ class LatticeEstimator:
             self._fit.known = KnownRotation.measured(measurement, window.duration)
         last = self._last
         warm = last is not None and last.reaches(window)
+        coarse = self._fit.contrasts[0.25]
+        fresh = fresh_start(coarse, events, self.lattice.shape)
         try:
             if warm and last is not None:
-                coarse = self._fit.contrasts[0.25]
                 flows = last.flows(window)
                 if self._fit.known is not None:
                     turned = last.rotation(window)
@@ -106,15 +110,18 @@ class LatticeEstimator:
                 self._fit.flow = best_start(coarse, events, flows)
                 stop = self._fit_warm(events, last.predict(self._fit, window))
                 # A cold fit takes longer than any deadline leaves.
-                warm = self._late() or not is_lost(coarse, events, self._fit.flow)
+                warm = self._late() or not is_lost(coarse, events, self._fit.flow, fresh)
             if not warm:
                 self.reset()
                 stop = self._fit_cold(events)
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
+            looked = self._second_look.flow(events, fresh)
+            apart = distance(looked, self._fit.flow, self._evidence())
             change = self._change.measure(events, self._fit.flow)
-            quality = self._quality(len(events), stop, gain, warm=warm, change_px=change)
+            quality = self._quality(len(events), stop, gain, warm=warm)
+            quality = replace(quality, change_px=change, second_look_px=apart)
             result = self._result(window, quality)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
@@ -250,8 +257,11 @@ class LatticeEstimator:
 
     def _is_confined(self) -> bool:
         """Tell whether all that moves is one spot: an object before a camera at rest, it may be."""
-        evidence = np.trace(self._fit.evidence, axis1=1, axis2=2)
-        return self.config.model == "auto" and self.lattice.spread(evidence) < _CONFINED
+        return self.config.model == "auto" and self.lattice.spread(self._evidence()) < _CONFINED
+
+    def _evidence(self) -> Array:
+        """How much the events say about the flow at each node, px^-2."""
+        return np.trace(self._fit.evidence, axis1=1, axis2=2)
 
     def _result(self, window: Window, quality: Quality) -> Estimate:
         """Remember the window that was fitted, and report it."""
@@ -271,18 +281,9 @@ class LatticeEstimator:
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
         return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
 
-    def _quality(
-        self, used: int, stop: str, gain: float, *, warm: bool, change_px: float = float("nan")
-    ) -> Quality:
-        return Quality(
-            events=used,
-            iterations=self._iterations,
-            stop_reason=stop,
-            contrast_gain=gain,
-            runtime_s=time.perf_counter() - self._started,
-            warm=warm,
-            change_px=change_px,
-        )
+    def _quality(self, used: int, stop: str, gain: float, *, warm: bool) -> Quality:
+        runtime = time.perf_counter() - self._started
+        return Quality(used, self._iterations, stop, gain, runtime_s=runtime, warm=warm)
 
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")

@@ -25,8 +25,6 @@ from emoflow_ros.core.windows import Window
 Array = NDArray[np.float64]
 
 SCALES = (0.25, 0.5, 1.0)
-_RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
-
 _ROTATION_STIFFNESS = 10.0  # times dec_weight: a rotation leaves the flow no freedom of its own
 _STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does not turn may have
 _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
@@ -150,16 +148,12 @@ class LatticeFit:
 
     def linearise(self, events: WindowEvents, scale: float) -> None:
         """Set up the normal equations of contrast and smoothness at the present flow."""
-        equations, config = self._equations, self.config
+        equations = self._equations
         equations.clear()
         contrast = self.contrasts[scale]
         contrast.linearise(events, self.flow, equations.vector, equations.band)
         self.evidence = equations.node_information()
-        equations.band[:, 0] += _RIDGE
-        self.lattice.smoothness(
-            self.flow, config.smoothness, config.edge_px, config.smoothness_in_time,
-            equations.vector, equations.band,
-        )  # fmt: skip
+        equations.add_smoothness(self.flow, self.config)
 
     def belief(self, window: Window) -> Belief:
         """Read (w, v) in the window's middle and their covariance off the last step."""

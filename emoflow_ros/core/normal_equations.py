@@ -6,8 +6,11 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 
 from emoflow_ros.core import assembly
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_config import LatticeConfig
 
 Array = NDArray[np.float64]
+
+_RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -58,6 +61,14 @@ class NormalEquations:
         xx, yy = along.reshape(-1, 2).sum(axis=0)
         xy = self.band[:, 1::2].sum()
         return self.vector.reshape(-1, 2).sum(axis=0), np.array([[xx, xy], [xy, yy]])
+
+    def add_smoothness(self, flow: NDArray[np.float32], config: LatticeConfig) -> None:
+        """Add the smoothness of a field (columns, rows, times, 2), px per window."""
+        self.band[:, 0] += _RIDGE
+        self.lattice.smoothness(
+            flow, config.smoothness, config.edge_px, config.smoothness_in_time,
+            self.vector, self.band,
+        )  # fmt: skip
 
     def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
         """Add weighted squares of residuals that each concern one node at one time.

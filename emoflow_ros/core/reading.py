@@ -82,7 +82,7 @@ class EstimateReader:
             window.t_end,
             belief.t,
             Status.OK,
-            self._judge(quality, fit.motion, evidence, window, jump),
+            self._judge(quality, fit.motion),
             model,
             front * v,
             rotation / window.duration,
@@ -129,9 +129,7 @@ class EstimateReader:
             return covariance
         return uncertainty.calibrated(covariance, jump, evidence)
 
-    def _judge(
-        self, quality: Quality, motion: Motion, evidence: Array, window: Window, jump: float
-    ) -> Quality:
+    def _judge(self, quality: Quality, motion: Motion) -> Quality:
         """Add residuals of the epipolar constraint and the probability of failure."""
         residual = self._epipolar.residuals(self._fit.node_flow, motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
@@ -141,6 +139,4 @@ class EstimateReader:
             residual_px=scale * float(self._image.sensor_px.max()),
             inlier_fraction=inliers,
         )
-        flow = self._fit.node_flow.mean(axis=1)
-        doubt = probability_of_failure(evidence, flow, window.duration, jump, judged)
-        return replace(judged, doubt=doubt)
+        return replace(judged, doubt=probability_of_failure(quality.second_look_px))

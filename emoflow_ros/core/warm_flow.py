@@ -28,16 +28,26 @@ def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) 
     return max(flows, key=lambda flow: contrast.gain(few, flow))
 
 
-def is_lost(contrast: ImageContrast, events: WindowEvents, flow: F32) -> bool:
+def fresh_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
+    """Search the constant flow of this shape that sharpens the events best, knowing nothing.
+
+    Args:
+        contrast, events: as in `best_start`.
+        shape: of the field, (columns, rows, times, 2).
+    """
+    return np.zeros(shape, np.float32) + best_constant_flow(contrast, _some(events), _REACH_PX)
+
+
+def is_lost(contrast: ImageContrast, events: WindowEvents, flow: F32, fresh: F32) -> bool:
     """Tell whether one constant flow, searched afresh, sharpens the events better than a fit does.
 
     Args:
         contrast, events: as in `best_start`.
         flow: (columns, rows, times, 2) the fit, px per window.
+        fresh: what `fresh_start` has found.
     """
     few = _some(events)
-    constant = np.zeros_like(flow) + best_constant_flow(contrast, few, _REACH_PX)
-    return contrast.gain(few, constant) > _BETTER * contrast.gain(few, flow)
+    return contrast.gain(few, fresh) > _BETTER * contrast.gain(few, flow)
 
 
 def _some(events: WindowEvents) -> WindowEvents:

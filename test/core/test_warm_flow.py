@@ -5,7 +5,7 @@ import pytest
 
 from emoflow_ros.core.contrast import Contrast, WindowEvents
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.warm_flow import best_start, is_lost
+from emoflow_ros.core.warm_flow import best_start, fresh_start, is_lost
 
 LATTICE = Lattice.with_spacing(160, 120, 26.0)
 MOVED = np.array([12.0, -7.0], np.float32)
@@ -41,9 +41,10 @@ def test_the_start_is_the_flow_that_sharpens_best(events, coarse):
 
 @pytest.mark.parametrize("wrong", [(0, 0), (-12, 7), (12, 7)])
 def test_a_flow_in_the_wrong_maximum_is_lost(events, coarse, wrong):
-    assert is_lost(coarse, events, constant(*wrong))
+    assert is_lost(coarse, events, constant(*wrong), fresh_start(coarse, events, LATTICE.shape))
 
 
 @pytest.mark.parametrize("off", [(0, 0), (0.7, -0.7)])
 def test_the_right_flow_is_not_lost(events, coarse, off):
-    assert not is_lost(coarse, events, constant(*(MOVED + np.array(off))))
+    fresh = fresh_start(coarse, events, LATTICE.shape)
+    assert not is_lost(coarse, events, constant(*(MOVED + np.array(off))), fresh)
