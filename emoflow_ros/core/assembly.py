@@ -14,11 +14,14 @@ _compiled = numba.njit(cache=True, nogil=True)
 
 
 @_compiled
-def gather_cells(gradient: F32, curvature: F32, factor: float, vector: F64, band: F64) -> None:
+def gather_cells(
+    gradient: F32, curvature: F32, slope: float, stiffness: float, vector: F64, band: F64
+) -> None:
     """Add the cells' gradients and curvatures to the lattice's vector and band matrix.
 
     Args:
-        gradient, curvature: as `pull` fills them; multiplied by `factor`.
+        gradient, curvature: as `pull` fills them.
+        slope, stiffness: factors of the gradients and of the curvatures.
         vector: (n,), n = columns * rows * times * 2.
         band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
     """
@@ -35,14 +38,14 @@ def gather_cells(gradient: F32, curvature: F32, factor: float, vector: F64, band
                 h = curvature[c, r, q]
                 for a in range(8):
                     i = offset[a]
-                    vector[i] += factor * g[0, a]
-                    vector[i + 1] += factor * g[1, a]
+                    vector[i] += slope * g[0, a]
+                    vector[i + 1] += slope * g[1, a]
                     for b in range(a + 1):  # offsets grow with the node: the lower triangle
                         j = offset[b]
                         d = i - j
-                        cross = factor * h[a, 1, b]
-                        band[j, d] += factor * h[a, 0, b]
-                        band[j + 1, d] += factor * h[a, 2, b]
+                        cross = stiffness * h[a, 1, b]
+                        band[j, d] += stiffness * h[a, 0, b]
+                        band[j + 1, d] += stiffness * h[a, 2, b]
                         band[j, d + 1] += cross
                         if b < a:
                             band[j + 1, d - 1] += cross

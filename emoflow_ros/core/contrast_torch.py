@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from emoflow_ros.core import assembly
-from emoflow_ros.core.contrast import WindowEvents, gaussian
+from emoflow_ros.core.contrast import PAIRS, PARTS, WindowEvents, gaussian
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
@@ -51,13 +51,15 @@ class TorchContrast:
         height = int((lattice.height + 2 * MARGIN) * scale) + 1
         width = int((lattice.width + 2 * MARGIN) * scale) + 1
         self._shape = (height, width)
-        half = gaussian(sigma)
-        self._taps = torch.tensor(np.concatenate([half[:0:-1], half]), device=device)
+        taps = gaussian(sigma)
+        self._taps = torch.tensor(taps, device=device)
+        self._taps_twice = torch.tensor(np.convolve(taps, taps), device=device)
         self._inner = torch.tensor([width - 2, height - 2], device=device)
         self._corners = torch.tensor([0, 1, width, width + 1], device=device)[:, None]
         offsets = [i * width + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
         self._around = torch.tensor(offsets, device=device)[:, None]
         self._image = torch.zeros(height * width, device=device)
+        self._parts = torch.zeros(PARTS * height * width, device=device)
         self._events = DeviceEvents(lattice, capacity, device)
         self._field = torch.zeros(lattice.unknowns // 2, 4, device=device)
         self._field_on_host = host_buffer(tuple(self._field.shape), device)
@@ -94,10 +96,10 @@ class TorchContrast:
         band: NDArray[np.float64],
         ref: float = 0.5,
     ) -> float:
-        """Add the contrast's gradient and curvature at a field to the normal equations.
+        """Add gradient and curvature of the contrast between the window's parts.
 
         Returns:
-            The contrast.
+            That contrast.
         """
         self._load(events, flow, ref)
         self._run()
@@ -105,8 +107,9 @@ class TorchContrast:
         answer = self._answer_on_host.numpy()
         gradient = answer[1 : self._of_gradient].reshape(*self._cells, 2, 8)
         curvature = answer[self._of_gradient :].reshape(*self._cells, 8, 3, 8)
-        assembly.gather_cells(gradient, curvature, self._area, vector, band)
-        return float(answer[0])
+        slope = self._area * PAIRS
+        assembly.gather_cells(gradient, curvature, slope, slope * PAIRS, vector, band)
+        return 0.5 * slope * float(answer[0])
 
     def _load(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> None:
         """Send the window's events, where they are new, and the field with its acceleration."""
@@ -133,21 +136,25 @@ class TorchContrast:
         """Compute contrast, gradient and curvature of the loaded events at the loaded field."""
         events = self._events
         position = self._warp()
-        image = self._draw(position, events.weights)
-        potential = self._blur(image).ravel()
         at, inside = self._on_image(position)
-        lever = events.weights * inside * events.lever[:, 0] * self.scale
-        pull = lever * self._slope(potential, at)
+        weights = events.weights * inside
+        first = events.part * self._image.numel()
+        parts = self._vote(self._parts, at, weights, first).view(PARTS, *self._shape)
+        parts = self._smooth(parts, self._taps_twice)
+        others = (parts.sum(dim=0) - parts).ravel()
+        potential, slope = self._slope(others, at, first)
+        lever = weights * events.lever[:, 0] * self.scale
+        pull = lever * slope
         lever = lever * events.lever[:, 0] * self.scale * events.copies
-        stiffness = _semidefinite(*(lever * self._bend(potential, at)))
+        stiffness = _semidefinite(*(lever * self._bend(others, at, first)))
         by_node = (stiffness[..., None] * events.basis).transpose(0, 1).flatten(1)  # (S, 24)
         cells, blocks = events.members.shape
         rows = torch.cat([pull.T, by_node], dim=1).view(blocks, -1, 26)
         sums = events.basis.view(blocks, -1, 8).transpose(1, 2) @ rows
         sums = (events.members @ sums.flatten(1)).view(cells, 8, 26)
         gradient, curvature = sums[..., :2].transpose(1, 2), sums[..., 2:]
-        parts = [self._energy(image)[None], gradient.flatten(), curvature.flatten()]
-        torch.cat(parts, out=self._answer)
+        total = (weights * potential).sum()[None]
+        torch.cat([total, gradient.flatten(), curvature.flatten()], out=self._answer)
 
     def _warp(self) -> Tensor:
         """Warp the events to the middle along the field, (S, 2) px, as `kernels.warp`."""
@@ -164,38 +171,41 @@ class TorchContrast:
     def _draw(self, position: Tensor, weights: Tensor) -> Tensor:
         """Draw the smoothed image of events at positions (N, 2) px."""
         at, inside = self._on_image(position)
+        image = self._vote(self._image, at, weights * inside, torch.zeros_like(at[:, 0]).long())
+        return self._smooth(image.view(1, *self._shape), self._taps)
+
+    def _vote(self, images: Tensor, at: Tensor, weights: Tensor, first: Tensor) -> Tensor:
+        """Add weighted events at positions (N, 2) of images whose first pixels are `first` (N,)."""
         index, (fx, fy) = self._pixel(at)
         shares = torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
-        votes = shares * (weights * inside)
-        self._image.zero_().index_add_(0, (index + self._corners).ravel(), votes.ravel())
-        return self._blur(self._image.view(self._shape))
+        places = (first + index + self._corners).ravel()
+        return images.zero_().index_add_(0, places, (shares * weights).ravel())
 
     def _pixel(self, at: Tensor) -> tuple[Tensor, Tensor]:
         """Split image positions (N, 2) into the pixel's index (N,) and fractions (2, N)."""
         whole = at.long()
         return whole[:, 1] * self._shape[1] + whole[:, 0], (at - whole).T
 
-    def _blur(self, image: Tensor) -> Tensor:
-        radius = len(self._taps) // 2
+    def _smooth(self, images: Tensor, taps: Tensor) -> Tensor:
+        """Convolve images (n, h, w) with a kernel along rows and columns, zero outside."""
+        radius = len(taps) // 2
         with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            down = conv2d(image[None, None], self._taps[None, None, :, None], padding=(radius, 0))
-            return conv2d(down, self._taps[None, None, None], padding=(0, radius))[0, 0]
+            down = conv2d(images[:, None], taps[None, None, :, None], padding=(radius, 0))
+            return conv2d(down, taps[None, None, None], padding=(0, radius))[:, 0]
 
-    def _slope(self, potential: Tensor, at: Tensor) -> Tensor:
-        """Gradient (2, N) of the potential's bilinear interpolant."""
+    def _slope(self, images: Tensor, at: Tensor, first: Tensor) -> tuple[Tensor, Tensor]:
+        """Bilinear interpolants (N,) of the images at positions, and their gradients (2, N)."""
         index, (fx, fy) = self._pixel(at)
-        p00, p01, p10, p11 = potential[index + self._corners]
-        return torch.stack(
-            [
-                (1 - fy) * (p01 - p00) + fy * (p11 - p10),
-                (1 - fx) * (p10 - p00) + fx * (p11 - p01),
-            ]
-        )
+        p00, p01, p10, p11 = images[first + index + self._corners]
+        along_x = torch.stack([p01 - p00, p11 - p10])
+        above, below = torch.stack([p00, p10]) + fx * along_x
+        slope = torch.stack([along_x[0] + fy * (along_x[1] - along_x[0]), below - above])
+        return above + fy * (below - above), slope
 
-    def _bend(self, potential: Tensor, at: Tensor) -> Tensor:
+    def _bend(self, images: Tensor, at: Tensor, first: Tensor) -> Tensor:
         """Negative second differences (3, N) around the nearest pixel: xx, xy, yy."""
         index, _ = self._pixel(at + 0.5)
-        p = potential[index + self._around]  # (9, N), row by row
+        p = images[first + index + self._around]  # (9, N), row by row
         xy = 0.25 * (p[2] + p[6] - p[0] - p[8])
         return torch.stack([2 * p[4] - p[3] - p[5], xy, 2 * p[4] - p[1] - p[7]])
 

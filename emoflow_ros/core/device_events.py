@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from emoflow_ros.core.contrast import STIFFNESS_STRIDE, WindowEvents
+from emoflow_ros.core.contrast import PARTS, STIFFNESS_STRIDE, WindowEvents
 from emoflow_ros.core.lattice import Lattice
 
 _BLOCK = 64  # slots; on a DAVIS346 with 30 000 events about an eighth stays empty
@@ -27,6 +27,7 @@ class DeviceEvents:
         xy: (S, 2) px.
         lever: (S, 1) from the events' times to the middle, in windows.
         weights: (S,) as in WindowEvents.
+        part: (S,) which part of the window an event belongs to, see Contrast.
         copies: (S,) how many events the stiffness of this one stands for; 0 where not taken.
         nodes, hats: (S, 8) the nodes around an event in space and time, and their weights.
         basis: (S, 8) weights of the cell's nodes in the derivatives (kernels.pull).
@@ -51,6 +52,7 @@ class DeviceEvents:
         self.xy = torch.zeros(slots, 2, device=device)
         self.lever = torch.zeros(slots, 1, device=device)
         self.weights = torch.zeros(slots, device=device)
+        self.part = torch.zeros(slots, dtype=torch.int64, device=device)
         self.copies = torch.zeros(slots, device=device)
         self.nodes = torch.zeros(slots, 8, dtype=torch.int64, device=device)
         self.hats = torch.zeros(slots, 8, device=device)
@@ -77,16 +79,18 @@ class DeviceEvents:
         self.columns[:, :count].copy_(staged, non_blocking=True)
         self.columns[:, count:].zero_()
         self._ref = ref
-        self._fill_slots()
+        self._fill_slots(count)
         self._loaded = events
 
-    def _fill_slots(self) -> None:
+    def _fill_slots(self, count: int) -> None:
         cell, _ = self._place(self.columns[:, :-1], 0.5 * (self.columns[2, :-1] + self._ref))
         source = self._sources(self._flat(cell))
         slotted = self.columns[:, source]
         self.xy.copy_(slotted[:2].T)
         self.weights.copy_(slotted[3])
         self.lever.copy_((self._ref - slotted[2])[:, None])
+        for k in range(PARTS):
+            self.part.masked_fill_(source >= k * count // PARTS, k)
         self.copies.copy_(STIFFNESS_STRIDE * (source % STIFFNESS_STRIDE == 0))
         # The change in time acts through the acceleration, too: as at half the way.
         _, part = self._place(slotted, 0.5 * (slotted[2] + self._ref))

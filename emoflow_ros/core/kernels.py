@@ -1,4 +1,4 @@
-"""The hot path: warp, vote, blur and the pull of the contrast on the lattice, in numba.
+"""The hot path: warp, vote and the pull of the contrast on the lattice, in numba.
 
 Positions are in pixels of the sensor, times s in [0, 1] over the window, lattice values in
 px per window. Images have a margin, so that events warped across the border still count.
@@ -106,67 +106,36 @@ def material_derivative(flow: F32, per_px: F32, out: F32) -> None:
 
 
 @_fast
-def vote(position: F32, weights: F32, scale: float, image: F32) -> None:
-    """Add weighted events to an image by bilinear voting; the image is cleared first.
+def vote(position: F32, weights: F32, scale: float, images: F32) -> None:
+    """Add weighted events to images by bilinear voting; the images are cleared first.
 
     Args:
         position: (2, N) px of the sensor; what lies outside the margin is left out.
         weights: (N,).
         scale: image pixels per sensor pixel.
-        image: (h, w), written.
+        images: (parts, h, w), written: one for each part of the events, which are parts of equal
+            numbers in the events' order.
     """
-    h, w = image.shape
-    image[:] = 0.0
+    parts, h, w = images.shape
+    images[:] = 0.0
     shift, zoom, one = np.float32((MARGIN + 0.5) * scale - 0.5), np.float32(scale), np.float32(1)
-    for k in range(position.shape[1]):
-        px = position[0, k] * zoom + shift
-        py = position[1, k] * zoom + shift
-        if px >= 1 and py >= 1 and px < w - 2 and py < h - 2:
-            i = int(py)
-            j = int(px)
-            fy = py - np.float32(i)
-            fx = px - np.float32(j)
-            below = weights[k] * fy
-            above = weights[k] - below
-            image[i, j] += above * (one - fx)
-            image[i, j + 1] += above * fx
-            image[i + 1, j] += below * (one - fx)
-            image[i + 1, j + 1] += below * fx
-
-
-@_fast
-def blur(image: F32, taps: F32, scratch: F32, out: F32) -> None:
-    """Convolve with a symmetric separable kernel, zero outside.
-
-    Args:
-        image, scratch, out: (h, w); `out` may be `image`.
-        taps: (radius + 1,), from the centre outwards.
-    """
-    h, w = image.shape
-    for i in range(h):
-        source = image[i]
-        target = scratch[i]
-        for j in range(w):
-            target[j] = taps[0] * source[j]
-        for r in range(1, len(taps)):
-            for j in range(w - r):
-                target[j] += taps[r] * source[j + r]
-            for j in range(r, w):
-                target[j] += taps[r] * source[j - r]
-    for i in range(h):
-        target = out[i]
-        centre = scratch[i]
-        for j in range(w):
-            target[j] = taps[0] * centre[j]
-        for r in range(1, len(taps)):
-            if i + r < h:
-                below = scratch[i + r]
-                for j in range(w):
-                    target[j] += taps[r] * below[j]
-            if i - r >= 0:
-                above = scratch[i - r]
-                for j in range(w):
-                    target[j] += taps[r] * above[j]
+    events = position.shape[1]
+    for part in range(parts):
+        image = images[part]
+        for k in range(part * events // parts, (part + 1) * events // parts):
+            px = position[0, k] * zoom + shift
+            py = position[1, k] * zoom + shift
+            if px >= 1 and py >= 1 and px < w - 2 and py < h - 2:
+                i = int(py)
+                j = int(px)
+                fy = py - np.float32(i)
+                fx = px - np.float32(j)
+                below = weights[k] * fy
+                above = weights[k] - below
+                image[i, j] += above * (one - fx)
+                image[i, j + 1] += above * fx
+                image[i + 1, j] += below * (one - fx)
+                image[i + 1, j + 1] += below * fx
 
 
 @_fast
@@ -177,13 +146,13 @@ def pull(
     weights: F32,
     ref: float,
     position: F32,
-    potential: F32,
+    potentials: F32,
     scale: float,
     per_px: F32,
     stride: int,
     gradient: F32,
     curvature: F32,
-) -> None:
+) -> float:
     """Add each event's pull, and its stiffness, to its lattice cell.
 
     An event at x' climbs the potential: its gradient is that of the bilinear interpolant
@@ -193,7 +162,7 @@ def pull(
     Args:
         x, y, s, weights: (N,) events as they were voted.
         ref, position: the reference time and the (2, N) positions warped to it.
-        potential: (h, w), see `contrast.Contrast`.
+        potentials: (parts, h, w), one for each part of the events; see `contrast.Contrast`.
         scale: image pixels per sensor pixel.
         per_px: (2,) lattice cells per pixel.
         stride: the stiffness is taken from each stride-th event.
@@ -201,8 +170,11 @@ def pull(
             the cell's nodes with time innermost and the column outermost.
         curvature: (columns - 1, rows - 1, times - 1, 8, 3, 8), added to: for each pair of
             nodes xx, xy, yy.
+
+    Returns:
+        The sum of the events' potentials, times their weights.
     """
-    h, w = potential.shape
+    parts, h, w = potentials.shape
     cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
     one, two = np.float32(1), np.float32(2)
     half, quarter = np.float32(0.5), np.float32(0.25)
@@ -211,68 +183,75 @@ def pull(
     share = np.float32(stride)
     node = np.empty(8, np.float32)
     stiff = np.empty((3, 8), np.float32)
-    for k in range(len(x)):
-        px = position[0, k] * zoom + shift
-        py = position[1, k] * zoom + shift
-        if not (px >= 1 and py >= 1 and px < w - 2 and py < h - 2):
-            continue
-        c, fx = cell_of(x[k] * per_px[0], cells_x)
-        r, fy = cell_of(y[k] * per_px[1], cells_y)
-        # The change in time acts through the acceleration, too: as at half the way to `ref`.
-        q, ft = cell_of(half * (s[k] + middle) * cells_t, cells_t)
-        node[0] = (one - fx) * (one - fy) * (one - ft)
-        node[1] = (one - fx) * (one - fy) * ft
-        node[2] = (one - fx) * fy * (one - ft)
-        node[3] = (one - fx) * fy * ft
-        node[4] = fx * (one - fy) * (one - ft)
-        node[5] = fx * (one - fy) * ft
-        node[6] = fx * fy * (one - ft)
-        node[7] = fx * fy * ft
-        i = int(py)
-        j = int(px)
-        fy = py - np.float32(i)
-        fx = px - np.float32(j)
-        p00 = potential[i, j]
-        p01 = potential[i, j + 1]
-        p10 = potential[i + 1, j]
-        p11 = potential[i + 1, j + 1]
-        dt = (middle - s[k]) * zoom
-        lever = weights[k] * dt
-        gx = lever * ((one - fy) * (p01 - p00) + fy * (p11 - p10))
-        gy = lever * ((one - fx) * (p10 - p00) + fx * (p11 - p01))
-        g = gradient[c, r, q]
-        for b in range(8):
-            g[0, b] += gx * node[b]
-            g[1, b] += gy * node[b]
-        if k % stride:
-            continue
-        i = int(py + half)
-        j = int(px + half)
-        lever *= dt * share
-        twice = two * potential[i, j]
-        xx = lever * (twice - potential[i, j - 1] - potential[i, j + 1])
-        yy = lever * (twice - potential[i - 1, j] - potential[i + 1, j])
-        xy = (quarter * lever) * (
-            potential[i - 1, j + 1]
-            + potential[i + 1, j - 1]
-            - potential[i - 1, j - 1]
-            - potential[i + 1, j + 1]
-        )
-        mean = half * (xx + yy)
-        skew = half * (xx - yy)
-        root = np.sqrt(skew * skew + xy * xy)
-        if mean < root:  # one eigenvalue, or both, below zero
-            keep = half * max(mean + root, np.float32(0)) / max(root, np.float32(1e-20))
-            xx = keep * (root + skew)
-            yy = keep * (root - skew)
-            xy = keep * xy
-        for b in range(8):
-            stiff[0, b] = xx * node[b]
-            stiff[1, b] = xy * node[b]
-            stiff[2, b] = yy * node[b]
-        cell = curvature[c, r, q]
-        for a in range(8):
-            n = node[a]
-            for d in range(3):
-                for b in range(8):
-                    cell[a, d, b] += n * stiff[d, b]
+    total = 0.0
+    events = len(x)
+    for part in range(parts):
+        potential = potentials[part]
+        for k in range(part * events // parts, (part + 1) * events // parts):
+            px = position[0, k] * zoom + shift
+            py = position[1, k] * zoom + shift
+            if not (px >= 1 and py >= 1 and px < w - 2 and py < h - 2):
+                continue
+            c, fx = cell_of(x[k] * per_px[0], cells_x)
+            r, fy = cell_of(y[k] * per_px[1], cells_y)
+            # The change in time acts through the acceleration, too: as at half the way to `ref`.
+            q, ft = cell_of(half * (s[k] + middle) * cells_t, cells_t)
+            node[0] = (one - fx) * (one - fy) * (one - ft)
+            node[1] = (one - fx) * (one - fy) * ft
+            node[2] = (one - fx) * fy * (one - ft)
+            node[3] = (one - fx) * fy * ft
+            node[4] = fx * (one - fy) * (one - ft)
+            node[5] = fx * (one - fy) * ft
+            node[6] = fx * fy * (one - ft)
+            node[7] = fx * fy * ft
+            i = int(py)
+            j = int(px)
+            fy = py - np.float32(i)
+            fx = px - np.float32(j)
+            p00 = potential[i, j]
+            p01 = potential[i, j + 1]
+            p10 = potential[i + 1, j]
+            p11 = potential[i + 1, j + 1]
+            across = (one - fy) * ((one - fx) * p00 + fx * p01) + fy * ((one - fx) * p10 + fx * p11)
+            total += weights[k] * across
+            dt = (middle - s[k]) * zoom
+            lever = weights[k] * dt
+            gx = lever * ((one - fy) * (p01 - p00) + fy * (p11 - p10))
+            gy = lever * ((one - fx) * (p10 - p00) + fx * (p11 - p01))
+            g = gradient[c, r, q]
+            for b in range(8):
+                g[0, b] += gx * node[b]
+                g[1, b] += gy * node[b]
+            if k % stride:
+                continue
+            i = int(py + half)
+            j = int(px + half)
+            lever *= dt * share
+            twice = two * potential[i, j]
+            xx = lever * (twice - potential[i, j - 1] - potential[i, j + 1])
+            yy = lever * (twice - potential[i - 1, j] - potential[i + 1, j])
+            xy = (quarter * lever) * (
+                potential[i - 1, j + 1]
+                + potential[i + 1, j - 1]
+                - potential[i - 1, j - 1]
+                - potential[i + 1, j + 1]
+            )
+            mean = half * (xx + yy)
+            skew = half * (xx - yy)
+            root = np.sqrt(skew * skew + xy * xy)
+            if mean < root:  # one eigenvalue, or both, below zero
+                keep = half * max(mean + root, np.float32(0)) / max(root, np.float32(1e-20))
+                xx = keep * (root + skew)
+                yy = keep * (root - skew)
+                xy = keep * xy
+            for b in range(8):
+                stiff[0, b] = xx * node[b]
+                stiff[1, b] = xy * node[b]
+                stiff[2, b] = yy * node[b]
+            cell = curvature[c, r, q]
+            for a in range(8):
+                n = node[a]
+                for d in range(3):
+                    for b in range(8):
+                        cell[a, d, b] += n * stiff[d, b]
+    return total

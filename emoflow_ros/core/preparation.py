@@ -4,6 +4,7 @@ import numpy as np
 
 from emoflow_ros.core.contrast import WindowEvents
 from emoflow_ros.core.flicker import without_flicker
+from emoflow_ros.core.hot_pixels import without_hot_pixels
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.windows import Window
 from emoflow_ros.core.working_image import WorkingImage
@@ -14,7 +15,9 @@ _FEWEST_BLOCKS = 16  # that hold events
 
 
 def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> WindowEvents | None:
-    """Take a window's events to the working image, without flicker, thinned evenly to max_events.
+    """Take a window's events to the working image, thinned evenly to max_events.
+
+    Events of hot pixels and of flickering lamps are left out first.
 
     Returns:
         None if they are too few, or one burst without the time that motion needs, or all on
@@ -24,6 +27,7 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     inside = events.inside(*image.sensor.size)
     if not inside.all():
         events = events[inside]
+    events = without_hot_pixels(events, *image.sensor.size)
     events = without_flicker(events, *image.sensor.size)
     if len(events) < config.min_events:
         return None

@@ -1,9 +1,17 @@
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import convolve1d
 
 from emoflow_ros.core import kernels
-from emoflow_ros.core.contrast import Contrast, WindowEvents, best_constant_flow, gaussian
+from emoflow_ros.core.contrast import (
+    PARTS,
+    Contrast,
+    WindowEvents,
+    best_constant_flow,
+    gaussian,
+    smooth,
+)
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
 
@@ -21,8 +29,10 @@ def moving_dots(displacement, size=(120, 90), dots=60, per_dot=40, seed=1) -> Wi
     x, y = np.moveaxis(np.rint(at + rng.normal(scale=0.3, size=at.shape)), -1, 0)
     on = np.broadcast_to(rng.random((dots, 1)) < 0.5, s.shape)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    x, y, s, on = (column[inside] for column in (x, y, s, on))
+    order = np.argsort(s)
     return WindowEvents.prepare(
-        x[inside].astype(np.float32), y[inside].astype(np.float32), s[inside], on[inside]
+        x[order].astype(np.float32), y[order].astype(np.float32), s[order], on[order]
     )
 
 
@@ -34,6 +44,10 @@ def equations_at(contrast, events, flow) -> tuple[float, NormalEquations]:
     equations = NormalEquations(contrast.lattice, 0)
     value = contrast.linearise(events, flow, equations.vector, equations.band)
     return value, equations
+
+
+def value_at(contrast, events, flow) -> float:
+    return equations_at(contrast, events, flow)[0]
 
 
 def away_from_kinks(events, flow, scale) -> WindowEvents:
@@ -70,18 +84,23 @@ def reference_gradient(events, flow, scale):
     h, w = Contrast(LATTICE, scale).image.shape
     corner = at.detach().floor()
     (fx, fy), (j, i) = at - corner, corner.long()
-    image = torch.zeros(h * w, dtype=torch.float64)
+    part = torch.arange(PARTS).repeat_interleave(
+        torch.tensor([(k + 1) * len(x) // PARTS - k * len(x) // PARTS for k in range(PARTS)])
+    )
+    image = torch.zeros(PARTS * h * w, dtype=torch.float64)
     for di, dj, share in (
         (0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)
     ):  # fmt: skip
-        image = image.index_add(0, (i + di) * w + j + dj, weights * share)
-    half = tensor(gaussian(1.0))
-    taps = torch.cat([half.flip(0), half[1:]])
-    image = image.reshape(1, 1, h, w)
+        image = image.index_add(0, part * h * w + (i + di) * w + j + dj, weights * share)
+    taps = tensor(gaussian(1.0))
+    image = image.reshape(PARTS, 1, h, w)
+    # Wide enough that nothing is lost between the first and the second smoothing.
+    image = torch.nn.functional.pad(image, (len(taps),) * 4)
     for kernel in (taps.reshape(1, 1, -1, 1), taps.reshape(1, 1, 1, -1)):
         padding = tuple(n // 2 for n in kernel.shape[2:])
         image = torch.nn.functional.conv2d(image, kernel, padding=padding)
-    contrast = 0.5 * scale**2 * (image**2).sum()
+    between = image.sum(dim=0).square().sum() - image.square().sum()
+    contrast = 0.5 * scale**2 * PARTS / (PARTS - 1) * between
     contrast.backward()
     return contrast.item(), field.grad.numpy().ravel()
 
@@ -109,8 +128,8 @@ def test_gradient_is_the_slope_of_the_contrast(scale, u):
     _, equations = equations_at(contrast, events, constant(*u))
     h = 0.01
     for axis, (du, dv) in enumerate(((h, 0), (0, h))):
-        ahead, _ = contrast.sharpen(events, constant(u[0] + du, u[1] + dv))
-        behind, _ = contrast.sharpen(events, constant(u[0] - du, u[1] - dv))
+        ahead = value_at(contrast, events, constant(u[0] + du, u[1] + dv))
+        behind = value_at(contrast, events, constant(u[0] - du, u[1] - dv))
         slope = equations.vector[axis::2].sum()
         size = np.abs(equations.vector).sum()  # the sum is of many nodes, either sign
         assert (ahead - behind) / (2 * h) == pytest.approx(slope, rel=0.01, abs=2e-3 * size)
@@ -120,8 +139,8 @@ def test_gradient_by_a_change_within_the_window():
     events, contrast, h = moving_dots((8, -5)), Contrast(LATTICE, 0.25), 0.01
     _, equations = equations_at(contrast, events, constant(0, 0))
     change = np.ones(LATTICE.shape, np.float32) * np.float32([-1, 1])[:, None]
-    ahead, _ = contrast.sharpen(events, h * change)
-    behind, _ = contrast.sharpen(events, -h * change)
+    ahead = value_at(contrast, events, h * change)
+    behind = value_at(contrast, events, -h * change)
     slope = (ahead - behind) / (2 * h)
     assert equations.vector @ change.ravel() == pytest.approx(slope, rel=0.05)
 
@@ -134,7 +153,7 @@ def test_curvature_is_positive_semidefinite_and_leads_uphill():
         before, equations = equations_at(contrast, events, flow)
         equations.band[:, 0] += 1.0
         flow = flow + equations.solve().reshape(LATTICE.shape).astype(np.float32)
-        after, _ = contrast.sharpen(events, flow)
+        after = value_at(contrast, events, flow)
         assert after > before - 1e-3 * before
     middle = flow[1:-1, 1:-1].mean(axis=(0, 1, 2))
     np.testing.assert_allclose(middle, [8, -5], atol=0.25)
@@ -145,8 +164,7 @@ def test_one_event_by_hand():
     events = WindowEvents(*np.float32([[60], [40], [0.5], [3.0]]))
     contrast = Contrast(LATTICE, 1.0)
     value, position = contrast.sharpen(events, constant(5, 5))
-    half = gaussian(1.0).astype(np.float64)
-    squares = 2 * (half**2).sum() - half[0] ** 2
+    squares = (gaussian(1.0).astype(np.float64) ** 2).sum()
     assert value == pytest.approx(0.5 * 9 * squares**2, rel=1e-5)
     np.testing.assert_array_equal(position, [[60], [40]])  # already at the reference time
     assert contrast.image[40 + kernels.MARGIN, 60 + kernels.MARGIN] == contrast.image.max()
@@ -177,9 +195,33 @@ def test_search_of_a_constant_flow(displacement):
 
 
 def test_gaussian():
-    half = gaussian(2.0).astype(np.float64)
-    assert 2 * half.sum() - half[0] == pytest.approx(1, rel=1e-6)
-    np.testing.assert_allclose(half / half[0], np.exp(-(np.arange(len(half)) ** 2) / 8), rtol=1e-5)
+    taps = gaussian(2.0).astype(np.float64)
+    assert taps.sum() == pytest.approx(1, rel=1e-6)
+    np.testing.assert_allclose(taps / taps[5], np.exp(-(np.arange(-5, 6) ** 2) / 8), rtol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(41, 57), (2, 2)])
+def test_smooth_is_a_convolution_with_zeros_outside(shape):
+    image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    taps = gaussian(2.0)
+    expected = image.astype(np.float64)
+    for axis in (0, 1):
+        expected = convolve1d(expected, taps.astype(np.float64), axis, mode="constant")
+    smooth(image, taps)
+    np.testing.assert_allclose(image, expected, atol=1e-6)
+
+
+def test_events_of_one_part_do_not_count_among_themselves():
+    """A burst at one place is no contrast between parts; the same events over the window are."""
+    at = np.float32([[60] * 8, [40] * 8])
+    s = np.linspace(0.4, 0.6, 8, dtype=np.float32)
+    together = WindowEvents(*at, s, np.float32([1, 1, 0, 0, 0, 0, 0, 0]))
+    apart = WindowEvents(*at, s, np.float32([1, 0, 0, 0, 0, 0, 0, 1]))
+    contrast, still = Contrast(LATTICE, 1.0), constant(0, 0)
+    assert contrast.score(together, at) == pytest.approx(contrast.score(apart, at), rel=1e-6)
+    assert value_at(contrast, together, still) == pytest.approx(0, abs=1e-6)
+    peak = (gaussian(1.0).astype(np.float64) ** 2).sum() ** 2
+    assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-5)
 
 
 def evenly(per_pixel: int, seed=4) -> WindowEvents:

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from scipy.linalg import eigh
-from scipy.ndimage import convolve1d
 
 from emoflow_ros.core import assembly, kernels
-from emoflow_ros.core.contrast import gaussian
+from emoflow_ros.core.contrast import gaussian, smooth
 from emoflow_ros.core.lattice import Lattice
 
 LATTICE = Lattice(120, 90, 5, 4, 3)
@@ -80,49 +79,35 @@ def test_warp(rng, ref):
 
 
 @pytest.mark.parametrize("scale", [0.25, 0.5, 1.0])
-def test_vote(rng, scale):
+@pytest.mark.parametrize("parts", [1, 3])
+def test_vote(rng, scale, parts):
     position = rng.uniform(-40, 160, (2, EVENTS)).astype(np.float32)  # many are far outside
     weights = rng.normal(size=EVENTS).astype(np.float32)
-    image = np.full((int(114 * scale) + 1, int(144 * scale) + 1), 7, np.float32)
-    kernels.vote(position, weights, scale, image)
-    np.testing.assert_allclose(image, voted(position, weights, scale, image.shape), atol=5e-4)
+    images = np.full((parts, int(114 * scale) + 1, int(144 * scale) + 1), 7, np.float32)
+    kernels.vote(position, weights, scale, images)
+    cuts = [EVENTS * k // parts for k in range(parts + 1)]
+    for image, first, last in zip(images, cuts[:-1], cuts[1:], strict=True):
+        expected = voted(position[:, first:last], weights[first:last], scale, image.shape)
+        np.testing.assert_allclose(image, expected, atol=5e-4)
 
 
 def test_a_vote_on_a_pixel_falls_there():
-    image = np.zeros((114, 144), np.float32)
-    kernels.vote(np.array([[30.0], [20.0]], np.float32), np.float32([2.5]), 1.0, image)
+    images = np.zeros((1, 114, 144), np.float32)
+    kernels.vote(np.array([[30.0], [20.0]], np.float32), np.float32([2.5]), 1.0, images)
+    image = images[0]
     assert image[20 + kernels.MARGIN, 30 + kernels.MARGIN] == 2.5
     assert np.count_nonzero(image) == 1
 
 
-@pytest.mark.parametrize("sigma", [1.0, 2.0])
-def test_blur(rng, sigma):
-    image = rng.normal(size=(41, 57)).astype(np.float32)
-    half = gaussian(sigma)
-    taps = np.concatenate([half[:0:-1], half]).astype(np.float64)
-    expected = convolve1d(convolve1d(image.astype(np.float64), taps, 0, mode="constant"), taps, 1,
-                          mode="constant")  # fmt: skip
-    out, scratch = np.empty_like(image), np.empty_like(image)
-    kernels.blur(image, half, scratch, out)
-    np.testing.assert_allclose(out, expected, atol=1e-6)
-    kernels.blur(image, half, scratch, image)  # in place
-    np.testing.assert_array_equal(image, out)
-
-
-def test_blur_of_an_image_smaller_than_the_kernel():
-    image, half = np.ones((2, 2), np.float32), gaussian(2.0)
-    kernels.blur(image, half, np.empty_like(image), image)
-    np.testing.assert_allclose(image, (half[0] + half[1]) ** 2, rtol=1e-6)
-
-
-def slow_pull(x, y, s, weights, ref, position, potential, scale):
+def slow_pull(x, y, s, weights, ref, position, potentials, scale):
     """Gradient (n,) and curvature (n, n) of the lattice, event by event."""
     n = LATTICE.unknowns
     gradient, curvature = np.zeros(n), np.zeros((n, n))
     basis = node_weights(x, y, (s + ref) / 2).reshape(EVENTS, -1)
-    p = potential.astype(np.float64)
+    cuts = [EVENTS * k // len(potentials) for k in range(len(potentials) + 1)]
     at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
     for k in range(EVENTS):
+        p = potentials[np.searchsorted(cuts, k, side="right") - 1].astype(np.float64)
         (j, i), (fx, fy) = np.floor(at[:, k]).astype(int), at[:, k] % 1
         if min(at[:, k]) < 1 or at[0, k] >= p.shape[1] - 2 or at[1, k] >= p.shape[0] - 2:
             continue
@@ -142,21 +127,22 @@ def slow_pull(x, y, s, weights, ref, position, potential, scale):
     return gradient, curvature
 
 
-def fast_pull(events, ref, position, potential, scale, stride, factor=1.0):
+def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
     gradient = np.zeros((*CELLS, 2, 8), np.float32)
     curvature = np.zeros((*CELLS, 8, 3, 8), np.float32)
     kernels.pull(
-        *events, ref, position, potential, scale, LATTICE.per_px, stride, gradient, curvature
+        *events, ref, position, potentials, scale, LATTICE.per_px, stride, gradient, curvature
     )
     vector = np.zeros(LATTICE.unknowns)
     band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
-    assembly.gather_cells(gradient, curvature, factor, vector, band)
+    assembly.gather_cells(gradient, curvature, factor, 2 * factor, vector, band)
+    band /= 2
     return vector, dense(band)
 
 
 def smooth_image(rng, shape):
     image = rng.normal(size=shape).astype(np.float32)
-    kernels.blur(image, gaussian(1.0), np.empty_like(image), image)
+    smooth(image, gaussian(1.0))
     return image
 
 
@@ -174,9 +160,10 @@ def test_material_derivative_is_that_of_numpy_gradients(rng):
 def test_pull_and_gathering_are_the_dense_sums_over_events(rng, scale):
     events = random_events(rng)
     position = rng.uniform(-15, 135, (2, EVENTS)).astype(np.float32)
-    potential = smooth_image(rng, (int(114 * scale) + 1, int(144 * scale) + 1))
-    expected_vector, expected = slow_pull(*events, 0.5, position, potential, scale)
-    vector, matrix = fast_pull(events, 0.5, position, potential, scale, 1)
+    shape = (int(114 * scale) + 1, int(144 * scale) + 1)
+    potentials = np.stack([smooth_image(rng, shape) for _ in range(3)])
+    expected_vector, expected = slow_pull(*events, 0.5, position, potentials, scale)
+    vector, matrix = fast_pull(events, 0.5, position, potentials, scale, 1)
     # Sums of some hundred float32 terms of either sign.
     np.testing.assert_allclose(vector, expected_vector, atol=1e-5 * np.abs(expected_vector).max())
     np.testing.assert_allclose(matrix, expected, atol=1e-5 * expected.max())
@@ -187,9 +174,9 @@ def test_factor_and_stride_of_the_curvature(rng):
     """Each stride-th event counts for all: exact for events that come stride times."""
     events = tuple(np.repeat(column[: EVENTS // 2], 2) for column in random_events(rng))
     position = np.repeat(rng.uniform(0, 90, (2, EVENTS // 2)).astype(np.float32), 2, axis=1)
-    potential = smooth_image(rng, (115, 145))
-    vector, matrix = fast_pull(events, 0.5, position, potential, 1.0, 1)
-    same, sparse = fast_pull(events, 0.5, position, potential, 1.0, 2, factor=3.0)
+    potentials = smooth_image(rng, (115, 145))[None]
+    vector, matrix = fast_pull(events, 0.5, position, potentials, 1.0, 1)
+    same, sparse = fast_pull(events, 0.5, position, potentials, 1.0, 2, factor=3.0)
     np.testing.assert_allclose(same, 3 * vector, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(sparse, 3 * matrix, atol=1e-5 * matrix.max())
 
