@@ -24,9 +24,10 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
 from emoflow_ros.node.discovery import TopicSearch
 from emoflow_ros.node.event_source import Callbacks, EventSource
-from emoflow_ros.node.parameters import NodeParameters, Settings
+from emoflow_ros.node.parameters import NodeParameters
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.ros_arguments import refused_in_one_line
+from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import FACTORY
 
 _DIAGNOSTICS_DEPTH = 10

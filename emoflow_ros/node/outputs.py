@@ -9,9 +9,9 @@ from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.node import converters
-from emoflow_ros.node.parameters import NodeOptions, ScaleOptions
 from emoflow_ros.node.pictures import ENCODINGS, Picture
 from emoflow_ros.node.scale import Scale
+from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.statistics import Level, Report, Statistics
 from emoflow_ros.node.target_frame import NoTransformError
 from emoflow_ros.node.tasks import Result, Task, Wishes

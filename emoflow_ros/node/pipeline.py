@@ -14,13 +14,12 @@ from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
-from emoflow_ros.node.calibration_path import calibration_path
 from emoflow_ros.node.discovery import EventTopic
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import camera_info_topic
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.parameters import Settings
+from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.statistics import Level, Report, Statistics
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.node.parameters import ScaleOptions
+from emoflow_ros.node.settings import ScaleOptions
 from emoflow_ros.node.speed_input import SpeedInput
 
 

@@ -9,7 +9,7 @@ from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.node.settings import OutputOptions
 
 type Matrix = NDArray[np.float64]
 

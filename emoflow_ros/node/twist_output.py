@@ -8,7 +8,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from emoflow_ros.core.twist import Twist, at_middle, covariance_at_speed, covariance_in_frame
 from emoflow_ros.node import converters
-from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.node.settings import OutputOptions
 from emoflow_ros.node.target_frame import Matrix, make_target_frame
 from emoflow_ros.node.tasks import Result
 

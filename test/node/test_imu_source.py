@@ -24,8 +24,8 @@ from emoflow_ros.core.windows import Window, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.answer import pack, unpack
 from emoflow_ros.node.discovery import EventTopic
-from emoflow_ros.node.parameters import NodeOptions, Settings
 from emoflow_ros.node.pipeline import Pipeline
+from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.statistics import Level
 from emoflow_ros.node.tasks import Job, Result, Task
 from emoflow_ros.simulation.messages import ImuSample, MessageEncoder

@@ -18,8 +18,8 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.twist import at_middle
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.parameters import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.pictures import Picture
+from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.statistics import Level, Statistics
 from emoflow_ros.node.tasks import Result, Task
 

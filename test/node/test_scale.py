@@ -15,8 +15,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64, String
 
-from emoflow_ros.node.parameters import ScaleOptions
 from emoflow_ros.node.scale import Scale, Scaling
+from emoflow_ros.node.settings import ScaleOptions
 
 NS = 1_000_000_000
 WAIT_S = 10.0
