@@ -22,13 +22,13 @@ from rclpy.utilities import try_shutdown
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
-from emoflow_ros.node.discovery import TopicSearch
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.parameters import NodeParameters
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.ros_arguments import refused_in_one_line
 from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import FACTORY
+from emoflow_ros.node.topic_search import TopicSearch
 
 _DIAGNOSTICS_DEPTH = 10
 

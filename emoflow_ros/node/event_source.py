@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -13,13 +14,18 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import EventTopic, TopicSearch, import_message_type
-from emoflow_ros.node.qos_overrides import given_overrides
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.topic_search import (
+    EventTopic,
+    TopicSearch,
+    import_message_type,
+    topic_beside,
+)
 
 _EVENT_DEPTH = 1000  # as event camera drivers publish
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+_POLICIES = QoSOverridingOptions.with_default_policies().policy_kinds
 _LOOK_S = 0.1
 _THROTTLE_S = 5.0
 
@@ -151,7 +157,7 @@ class EventSource:
             self._subscriptions.append(
                 self._node.create_subscription(
                     CameraInfo,
-                    camera_info_topic(self._node, topic),
+                    topic_beside(self._node, topic, "camera_info"),
                     self._callbacks.camera_info,
                     _CAMERA_INFO_QOS,
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -166,7 +172,7 @@ class EventSource:
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=lambda _: self._report_incompatible_qos(topic)
                 ),
-                qos_overriding_options=given_overrides(self._node, topic.name),
+                qos_overriding_options=_given_overrides(self._node, topic.name),
                 raw=True,
             )
         )
@@ -202,9 +208,20 @@ def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
     )
 
 
-def camera_info_topic(node: Node, topic: EventTopic) -> str:
-    """Name the topic: `camera_info` if that is remapped, or the one beside the events."""
-    name: str = node.resolve_topic_name("camera_info")
-    if name != node.resolve_topic_name("camera_info", only_expand=True):
-        return name
-    return topic.camera_info
+def _given_overrides(node: Node, topic: str) -> QoSOverridingOptions:
+    """Return which policies of subscriptions to a topic (its full name) the user has given.
+
+    rclpy declares a parameter for every policy that may be overridden, read-only and with the
+    choice of the first subscription, which all later ones to that topic would take over.
+    """
+    names = {p: f"qos_overrides.{topic}.subscription.{p.name.lower()}" for p in _POLICIES}
+    return QoSOverridingOptions([p for p, name in names.items() if _is_given(node, name)])
+
+
+def _is_given(node: Node, name: str) -> bool:
+    if node.has_parameter(name):  # by a subscription before, since it was given
+        return True
+    node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True))
+    given = node.get_parameter(name).value is not None
+    node.undeclare_parameter(name)
+    return given

@@ -14,15 +14,14 @@ from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import converters
-from emoflow_ros.node.discovery import EventTopic
 from emoflow_ros.node.event_input import EventInput
-from emoflow_ros.node.event_source import camera_info_topic
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.statistics import Level, Report, Statistics
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task
+from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _THROTTLE_S = 5.0
 # What does not change by itself: a reminder for who reads the log later.
@@ -158,7 +157,7 @@ class Pipeline:
         self._input.camera = self._camera
         self._node.get_logger().info(f"listening to {topic.name} ({topic.type})")
         if self._camera is None:
-            wanted = camera_info_topic(self._node, topic)
+            wanted = topic_beside(self._node, topic, "camera_info")
             self._miss_camera(
                 f"no calibration yet: publish {wanted} or give camera.calibration_file"
             )

@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 from emoflow_ros.core.speed import SpeedLog
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.converters import SPEED_TYPES, to_speed
-from emoflow_ros.node.discovery import import_message_type
+from emoflow_ros.node.topic_search import import_message_type
 
 _QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LOOK_S = 0.2

@@ -21,11 +21,11 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.twist import at_middle
-from emoflow_ros.node.discovery import EventTopic
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.statistics import Level
 from emoflow_ros.node.tasks import Job, Loss, Result
+from emoflow_ros.node.topic_search import EventTopic
 from emoflow_ros.simulation.messages import MessageEncoder
 
 MS = 1_000_000

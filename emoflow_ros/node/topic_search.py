@@ -1,4 +1,4 @@
-"""Which topic carries the events, and of which type: read from the graph, never guessed."""
+"""The names and types of the topics that the node listens to, found in the ROS graph."""
 
 import importlib
 import time
@@ -25,10 +25,9 @@ class EventTopic:
     name: str
     type: str
 
-    @property
-    def camera_info(self) -> str:
-        """The camera_info topic beside it."""
-        return f"{self.name.rpartition('/')[0]}/camera_info"
+    def beside(self, name: str) -> str:
+        """Name a topic in the same namespace."""
+        return f"{self.name.rpartition('/')[0]}/{name}"
 
 
 class TopicSearch:
@@ -131,6 +130,14 @@ class TopicSearch:
             if (name == self.name or types[0] in supported_types())
             and self._node.count_publishers(name)
         }
+
+
+def topic_beside(node: Node, topic: EventTopic, name: str) -> str:
+    """Name the topic of an input: `name` as remapped, or else the one beside the events."""
+    resolved: str = node.resolve_topic_name(name)
+    if resolved != node.resolve_topic_name(name, only_expand=True):
+        return resolved
+    return topic.beside(name)
 
 
 def import_message_type(ros_type: str) -> Any:
