@@ -9,14 +9,15 @@ from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.node import converters
-from emoflow_ros.node.pictures import ENCODINGS, Picture
 from emoflow_ros.node.scale import Scale
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.statistics import Level, Report, Statistics
 from emoflow_ros.node.target_frame import NoTransformError
-from emoflow_ros.node.tasks import Result, Task, Wishes
+from emoflow_ros.node.tasks import Picture, Result, Task, Wishes
 from emoflow_ros.node.twist_output import TwistOutput, make_publisher
 from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
+
+_ENCODINGS = {Picture.FLOW: "32FC2", Picture.COLOR: "rgb8", Picture.EVENTS: "mono8"}
 
 
 class Outputs:
@@ -104,7 +105,7 @@ class Outputs:
             if picture is Picture.TRACKS:
                 message = converters.to_tracks(drawn, header)
             else:
-                message = converters.to_image(drawn, ENCODINGS[picture], header)
+                message = converters.to_image(drawn, _ENCODINGS[picture], header)
             self._pictures[picture].publish(message)
 
     def _publish_status(self, report: Report) -> None:

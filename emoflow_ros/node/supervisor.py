@@ -16,12 +16,17 @@ from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.twist import grid_times
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.answer import unpack
-from emoflow_ros.node.channel import Arrays
-from emoflow_ros.node.queue import DropOldestQueue
-from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Task
-from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
-from emoflow_ros.node.worker_process import WorkerDiedError, WorkerProcess
+from emoflow_ros.node.tasks import (
+    Arrays,
+    DropOldestQueue,
+    Job,
+    Loss,
+    Notice,
+    Outcome,
+    Task,
+    unpack,
+)
+from emoflow_ros.node.worker import WARM_UP_CAMERA, WorkerDiedError, WorkerProcess, serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 

@@ -18,10 +18,9 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.twist import at_middle
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.pictures import Picture
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.statistics import Level, Statistics
-from emoflow_ros.node.tasks import Result, Task
+from emoflow_ros.node.tasks import Picture, Result, Task
 
 MS = 1_000_000
 CAMERA = Camera(8, 6, 5.0, 5.0, 4.0, 3.0)

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import estimator_node, event_source, outputs, pipeline
 from emoflow_ros.node.estimator_node import EstimatorNode
-from emoflow_ros.node.queue import DropOldestQueue
+from emoflow_ros.node.tasks import DropOldestQueue
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
