@@ -21,8 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import converters
 from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.outputs import to_diagnostics
 from emoflow_ros.node.parameters import NodeParameters
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.ros_arguments import refused_in_one_line
@@ -266,7 +266,7 @@ class EstimatorNode(LifecycleNode):
         report = self._pipeline.report()
         stamp = self.get_clock().now().to_msg()
         name = self.get_fully_qualified_name()
-        self._diagnostics.publish(converters.to_diagnostics(name, report, stamp))
+        self._diagnostics.publish(to_diagnostics(name, report, stamp))
 
 
 def _log_error(node: Node, action: str, error: Exception) -> None:

@@ -14,7 +14,7 @@ from emoflow_ros.core.windows import (
     WindowPolicy,
     WindowSlicer,
 )
-from emoflow_ros.node.statistics import Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 

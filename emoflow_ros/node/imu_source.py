@@ -18,8 +18,8 @@ from sensor_msgs.msg import Imu
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.gyro_faults import GyroState
+from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.imu_input import ImuInput, MountingError
-from emoflow_ros.node.statistics import Level, Statistics
 from emoflow_ros.node.target_frame import NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside

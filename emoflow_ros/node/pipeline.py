@@ -13,12 +13,12 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import converters
+from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.event_input import EventInput
+from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.settings import Settings, calibration_path
-from emoflow_ros.node.statistics import Level, Report, Statistics
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
@@ -185,7 +185,7 @@ class Pipeline:
     def take_camera_info(self, info: CameraInfo) -> None:
         """Take a calibration, which may be the one in use."""
         try:
-            camera = converters.to_camera(info)
+            camera = to_camera(info)
         except InputError as error:
             self._miss_camera(f"camera_info: {error}")
             self._node.get_logger().error(

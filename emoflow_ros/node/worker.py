@@ -144,7 +144,7 @@ class _Worker:
         self._painter: Painter | None = None
 
     def answer(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
-        """Do what a request asks for. An error is an answer, too; the estimator starts cold after it."""
+        """Do what a request asks for; after an error, which is answered, the estimator is cold."""
         try:
             match header["kind"]:
                 case "warm_up":

@@ -6,12 +6,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.event_count import DistinctEvents
-from emoflow_ros.node.memory import resident_mb
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200
@@ -219,6 +219,15 @@ class Statistics:
             values["stop_reason"] = estimate.quality.stop_reason
             values["gyro"] = str(estimate.gyro)
         return values
+
+
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process in MiB, 0 if it is gone (Linux's proc(5), statm)."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+    except (OSError, IndexError):
+        return 0.0
+    return int(pages) * os.sysconf("SC_PAGESIZE") / 2**20
 
 
 def _without_estimates(recent: Counter[str]) -> Iterator[tuple[Level, str]]:
