@@ -1,4 +1,4 @@
-"""What the node counts, and the verdict that its diagnostics give."""
+"""The numbers that the node counts, and the verdict on the node that its diagnostics give."""
 
 import os
 import time
@@ -34,8 +34,8 @@ _ALSO_COUNTED = (
     *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
     *("windows", "windows_forgotten"),
 )
-# Parts that have problems, first those whose problems cost most. Of the latter whatever else is as
-# bad costs more: there are estimates nevertheless.
+# Parts of the node that can have problems, the costliest first. With a problem of a mild part there
+# are still estimates, so all other reasons of the same level come before it.
 _PARTS = ("worker", "input", "qos", "camera", "frame")
 _MILD = ("gyro", "scale", "device")
 
@@ -108,9 +108,9 @@ class Statistics:
         self._last_result = result
 
     def add_dropped(self, task: Task, reason: str) -> None:
-        """Count a window that had to make room for newer ones, and its events.
+        """Count a window that was dropped for this reason, and its events.
 
-        Events that another dropped window held, too, are counted once.
+        Events that another dropped window also held are counted once.
         """
         if task.epoch != self._dropped_epoch:
             self._dropped_epoch = task.epoch
@@ -174,7 +174,7 @@ class Statistics:
     def _reasons(
         self, now: float, recent: Counter[str], silence_s: float
     ) -> Iterator[tuple[Level, str]]:
-        """Say what holds, first what costs most."""
+        """Yield the reasons that hold, the costliest first."""
         yield from (self.problems[part] for part in _PARTS if part in self.problems)
         if recent["internal_errors"]:
             yield (
@@ -231,7 +231,7 @@ def resident_mb(pid: int) -> float:
 
 
 def _without_estimates(recent: Counter[str]) -> Iterator[tuple[Level, str]]:
-    """Say why all windows were estimated in vain."""
+    """Say why no window gave an estimate."""
     few, still = (recent[f"windows_{s}"] for s in (Status.TOO_FEW_EVENTS, Status.NO_MOTION))
     if recent[f"windows_{Status.OK}"]:
         return

@@ -136,7 +136,7 @@ class EstimatorNode(LifecycleNode):
         self.is_starting = False
         self._factory = factory
         self._pipeline: Pipeline | None = None
-        # What configuring and activating have made, to be taken back in the opposite order.
+        # They undo what configuring and activating made, in reverse order.
         self._configured = ExitStack()
         self._activated = ExitStack()
         self._outcome_waits = self.create_guard_condition(self._take_outcomes)
@@ -158,7 +158,7 @@ class EstimatorNode(LifecycleNode):
         return self._table.settings
 
     def _start(self) -> None:
-        """Configure and activate; raise what keeps one of them from it."""
+        """Configure and activate; raise the exception of the one that fails."""
         self.is_starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             trigger()
@@ -231,7 +231,7 @@ class EstimatorNode(LifecycleNode):
         self._release()
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave nothing after a transition that ended in an error: the node is unconfigured."""
+        """Undo everything after a transition that ended in an error: the node is unconfigured."""
         try:
             self._release()
         except Exception as error:
@@ -246,7 +246,7 @@ class EstimatorNode(LifecycleNode):
             super().destroy_node()
 
     def _release(self) -> None:
-        """Take back what was made, all of it, also where a part of that fails."""
+        """Undo all that was made, even if a part of that fails."""
         self._pipeline = None
         with self._configured, self._activated:
             pass

@@ -1,4 +1,4 @@
-"""The node's subscriptions: finds the event topic and the camera_info beside it."""
+"""The subscriptions to events and camera_info, made as soon as the event topic is found."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _THROTTLE_S = 5.0
 
 @dataclass(frozen=True)
 class Callbacks:
-    """Who gets what.
+    """The functions that take what comes.
 
     Attributes:
         topic: told which topic was found; again if it turns out to be another one.
@@ -49,9 +49,9 @@ class Callbacks:
 class EventSource:
     """Looks for the event topic until it is there, then subscribes.
 
-    A topic that nobody asked for is given up again if another one appears before its first
-    event, and the choice is open again. It is given up for `events` until it is used. After that
-    another one is only named in the log.
+    A topic that the user did not name can be given up again: before its first event, if another
+    event topic appears, so that the user has to choose; and until its events are used, if
+    somebody publishes `events`. After that, other topics are only named in the log.
 
     Args:
         node: to subscribe with.
@@ -59,7 +59,7 @@ class EventSource:
         is_ready: whether messages can be taken yet.
         is_used: whether events of the present topic have been used, and would now be mixed with
             those of another one.
-        callbacks: who gets what.
+        callbacks: take what comes.
         statistics: told while there is no topic.
     """
 
@@ -121,7 +121,7 @@ class EventSource:
             self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
 
     def _name_others(self) -> None:
-        """Say, when that changes, which event topics there are besides the one in use."""
+        """Log the event topics besides the one in use, whenever they change."""
         assert self._topic is not None
         others = self._search.others(self._topic)
         if others and others != self._named:
@@ -205,12 +205,12 @@ def to_camera(info: CameraInfo) -> Camera:
 
 
 def _kind(profile: QoSProfile) -> str:
-    """Name what decides whether a subscription gets what a publisher sends."""
+    """Name the two policies that decide whether a publisher and a subscription match."""
     return f"{profile.reliability.name.lower()} {profile.durability.name.lower()}"
 
 
 def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
-    """Ask for what is offered: best effort, as drivers do, or reliable where all publishers are."""
+    """Ask for best effort, as drivers offer it, or for reliable if all publishers are reliable."""
     offered = {p.qos_profile.reliability for p in node.get_publishers_info_by_topic(topic.name)}
     reliable = offered == {ReliabilityPolicy.RELIABLE}
     return QoSProfile(
@@ -221,17 +221,17 @@ def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
 
 
 def _given_overrides(node: Node, topic: str) -> QoSOverridingOptions:
-    """Return which policies of subscriptions to a topic (its full name) the user has given.
+    """Return the QoS policies that the user has given for subscriptions to a topic (full name).
 
-    rclpy declares a parameter for every policy that may be overridden, read-only and with the
-    choice of the first subscription, which all later ones to that topic would take over.
+    For every policy that may be overridden, rclpy declares a read-only parameter with the value of
+    the first subscription. All later subscriptions to that topic would take over that value.
     """
     names = {p: f"qos_overrides.{topic}.subscription.{p.name.lower()}" for p in _POLICIES}
     return QoSOverridingOptions([p for p, name in names.items() if _is_given(node, name)])
 
 
 def _is_given(node: Node, name: str) -> bool:
-    if node.has_parameter(name):  # by a subscription before, since it was given
+    if node.has_parameter(name):  # an earlier subscription declared it, because it was given
         return True
     node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True))
     given = node.get_parameter(name).value is not None

@@ -1,4 +1,4 @@
-"""The IMU of a node: what it is called, how it is mounted, and when windows have waited enough."""
+"""The subscription to the IMU, its mounting, and the timers that hand windows on."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -37,10 +37,10 @@ class ImuSource:
 
     Args:
         node: subscribes, and listens to tf.
-        config: of the gyro, `use` is not off.
+        config: of the gyro; its `use` is not off.
         hand_on: gets windows that wait no longer.
         statistics: told what is wrong with the gyro.
-        made: gets what takes this back.
+        made: gets the calls that take this down.
 
     Raises:
         InputError: the mounting is to come from tf, and tf2_ros is not installed.
@@ -134,10 +134,11 @@ class ImuSource:
 
 
 class PolledSubscription:
-    """Serialised messages of a topic, without a turn of the executor for each of them.
+    """A subscription whose serialised messages are fetched, many at a time.
 
-    A turn takes longer than a thousandth of a second on a busy machine: at 1000 messages per second
-    an ordinary subscription falls ever further behind. The middleware keeps as many as `qos` says.
+    An ordinary subscription costs a turn of the executor per message. On a busy machine a turn
+    takes more than 1 ms: at 1000 messages per second such a subscription falls further and further
+    behind. Between two fetches the middleware keeps as many messages as `qos` says.
 
     Args:
         node: to subscribe with.
@@ -183,7 +184,7 @@ class PolledSubscription:
 
 
 class _NeverCalled(CallbackGroup):
-    """The executor waits for nothing of this group."""
+    """The executor never calls back for anything in this group."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -192,4 +193,4 @@ class _NeverCalled(CallbackGroup):
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing: nothing began."""
+        """Do nothing: nothing begins."""

@@ -37,13 +37,13 @@ _LEVELS = {
 
 
 class Outputs:
-    """Publishes windows on the topics of a lifecycle node, which must be active for that.
+    """Publishes what becomes of windows; the lifecycle node must be active for that.
 
     Args:
         node: to publish with.
         options: what to publish.
         statistics: told while twists are not what was asked for.
-        made: gets what takes the topics away.
+        made: gets the calls that take the topics away.
 
     Raises:
         InputError: the options need a package that is not installed.
@@ -67,12 +67,12 @@ class Outputs:
         }
 
     def set_scale(self, options: ScaleOptions) -> None:
-        """Take the scale from somewhere else from now on."""
+        """Take the scale from where these options say from now on."""
         self._scale.set_options(options)
 
     @property
     def wishes(self) -> Wishes:
-        """What results are to hold: of the pictures those that somebody subscribes to now."""
+        """What results are to hold: only those pictures that somebody subscribes to now."""
         subscribed = (p for p in Picture if self._pictures[p].get_subscription_count() > 0)
         return Wishes(
             tuple(subscribed),
@@ -99,11 +99,11 @@ class Outputs:
         self._publish_status(judge_result(result, self._now(), scaling.source, found))
 
     def publish_dropped(self, task: Task, reason: str) -> None:
-        """Publish the status of a window that had to make room for this reason."""
+        """Publish the status of a window that was dropped for this reason."""
         self._publish_status(judge_dropped(task, reason, self._now()))
 
     def publish_failed(self, task: Task, reason: str) -> None:
-        """Publish the status of a window that the worker failed at."""
+        """Publish the status of a window that the worker failed at for this reason."""
         self._publish_status(judge_failed(task, reason, self._now()))
 
     def _publish_twists(self, result: Result, factor: float) -> str:
@@ -164,7 +164,7 @@ def judge_result(
 
 
 def judge_dropped(task: Task, reason: str, now: int) -> Report:
-    """Judge a window that had to make room for newer ones, and why; `now` is ROS time, ns."""
+    """Judge a window that was dropped for this reason; `now` is ROS time, ns."""
     return Report(Level.WARN, f"dropped: {reason}", _lost(task, now, "dropped"))
 
 

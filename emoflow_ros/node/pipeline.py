@@ -24,7 +24,7 @@ from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _THROTTLE_S = 5.0
-# What does not change by itself: a reminder for who reads the log later.
+# A problem that lasts until somebody acts is logged again after this time.
 _REMINDER_S = 30.0
 _SLOW = (
     "the estimation is slower than the events; give longer windows, or fewer estimator.max_events"
@@ -40,16 +40,16 @@ class Pipeline:
     """Cuts the events of a topic into windows, has them estimated, and publishes the results.
 
     Windows wait here until there is a calibration. Each then goes to the worker with the camera,
-    the configuration and the wishes that hold at that moment. What is on its way when an epoch
-    ends is forgotten: counted, and not published. All of it is in the executor's
-    thread; the supervisor has a thread of its own.
+    the configuration and the wishes that hold at that moment. When an epoch ends, the windows on
+    their way are forgotten: they are counted and not published. The pipeline runs in the
+    executor's thread; the supervisor has a thread of its own.
 
     Args:
         node: to publish with.
         settings: the values of the parameters.
         factory: `module:function` that makes the estimator in the worker.
         wake: called in the supervisor's thread when `take_outcomes` has something to do.
-        made: gets what takes the pipeline back.
+        made: gets the calls that take the pipeline down.
 
     Attributes:
         statistics: what is counted, and what is wrong.

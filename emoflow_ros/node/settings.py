@@ -83,7 +83,7 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """How the node answers."""
+    """What the node publishes, and how."""
 
     timeout_s: float = option(
         10.0,

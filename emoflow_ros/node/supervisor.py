@@ -136,7 +136,7 @@ class Supervisor:
             while not self._stopping.is_set():
                 try:
                     answered = self._advance()
-                except Exception as error:  # a thread that ended would leave a node that lives on
+                except Exception as error:  # if the thread ended, the node would go on without it
                     if self._stopping.is_set():
                         break
                     self._lose_worker(error)
@@ -148,7 +148,7 @@ class Supervisor:
             self._end_worker()
 
     def _advance(self) -> bool:
-        """Start a worker if there is none, and run the oldest job if there is one."""
+        """Start a worker if there is none, and run the oldest job; return whether there was one."""
         if self._worker is None:
             self._start_worker()
         if not self.ready.is_set():  # a replacement has windows waiting

@@ -276,7 +276,7 @@ def pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Array
 
 
 def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
-    """Build a task's result from its answer; what `pack` does not know of are pictures."""
+    """Build the result of a task from its answer; arrays that `pack` does not make are pictures."""
     state, reason = header["gyro"]
     estimate = Estimate(
         t_start=header["t_start"],

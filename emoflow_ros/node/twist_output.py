@@ -30,7 +30,7 @@ from emoflow_ros.node.target_frame import Matrix, make_target_frame
 from emoflow_ros.node.tasks import Result
 from emoflow_ros.node.topic_search import import_message_type
 
-# Where each message has its velocity, a vector or a number of m/s.
+# Reads the velocity from each type of message: a vector or a number, in m/s.
 SPEED_TYPES: dict[str, Callable[[Any], Vector3 | float]] = {
     "nav_msgs/msg/Odometry": lambda message: message.twist.twist.linear,
     "geometry_msgs/msg/TwistStamped": lambda message: message.twist.linear,
@@ -48,7 +48,7 @@ class TwistOutput:
     Args:
         node: to publish with.
         options: in which frame.
-        made: gets what takes the topics away.
+        made: gets the calls that take the topics away.
 
     Raises:
         InputError: tf is asked for and not installed.
@@ -106,7 +106,7 @@ class Scaling:
 
 
 class Scale:
-    """Knows the scale at the time of a window.
+    """The scale at the time of a window, from nowhere, a parameter or a topic.
 
     Args:
         node: listens to the topic, if there is one.
@@ -120,7 +120,7 @@ class Scale:
         self.set_options(options)
 
     def set_options(self, options: ScaleOptions) -> None:
-        """Take the scale from somewhere else from now on."""
+        """Take the scale from where these options say from now on."""
         topic = options.topic if options.source == "topic" else None
         if self._input is not None and self._input.topic != topic:
             self.close()
@@ -216,7 +216,7 @@ class SpeedInput:
 
 
 def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
-    """Make a publisher that publishes while the node is active; `made` gets what takes it away."""
+    """Make a publisher that works while the node is active; `made` gets what destroys it."""
     publisher = node.create_lifecycle_publisher(message_type, topic, _DEPTH)
     made.callback(node.destroy_lifecycle_publisher, publisher)
     return publisher
