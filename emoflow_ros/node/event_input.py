@@ -22,7 +22,7 @@ from msg_adapters import DecodeError, EventMessage, make_decoder
 _DISORDER = 100 * NS_PER_MS
 # A larger step forward also starts another run: a seek, or a sensor clock that wrapped unseen.
 _GAP = 10 * NS_PER_S
-# A million events as EventArray; what is larger can only be wrong.
+# A million events as EventArray; a larger message is taken for a malformed one.
 _MAX_BYTES = 16 * 2**20
 
 
@@ -101,7 +101,7 @@ class EventInput:
         message = self._decode(data)
         if message is not None and self._has_jumped(message):
             self._size = None  # another recording may be that of another sensor
-            message = self._decode(data)  # the sensor's time was counted on from before the jump
+            message = self._decode(data)  # again: its times were counted on from before the jump
         if message is None:
             return []
         self._stamp = message.stamp

@@ -150,7 +150,7 @@ class EventSource:
     def _subscribe(self, topic: EventTopic) -> None:
         message_type = import_message_type(topic.type)
         self._topic = topic
-        if topic.name == self._search.name:  # asked for: there is nothing left to decide
+        if topic.name == self._search.name:  # the user named it: nothing is left to decide
             self._node.destroy_timer(self._timer)
         self._statistics.clear_problem("input")
         self._callbacks.topic(topic)

@@ -1,6 +1,6 @@
-"""The executable `estimator`: takes SIGINT and SIGTERM from before its imports, which take seconds.
+"""The executable `estimator`, which takes SIGINT and SIGTERM before the imports that take seconds.
 
-At the top this module imports nothing but the standard library, so that no signal is missed.
+So this module itself imports nothing but the standard library.
 """
 
 import argparse

@@ -17,7 +17,7 @@ from emoflow_ros.node.tasks import Task
 type Mounting = Callable[[str, str], NDArray[np.float64]]
 
 _CAPACITY = 8192  # readings: 4 s at 2 kHz
-_DISORDER = 100 * NS_PER_MS  # a step back of less is disorder, more is another run of the recording
+_DISORDER = 100 * NS_PER_MS  # a larger step back starts another run of the recording
 _WAIT_S = 0.008
 _LIVE = 200 * NS_PER_MS  # a gyro that is further behind than this is not waited for
 _SILENT_S = 0.5

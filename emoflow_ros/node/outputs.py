@@ -1,4 +1,4 @@
-"""The node's topics but the twists: the status of every window, pictures, and diagnostics."""
+"""What is published of a window: its status and pictures, and its twists by `twist_output`."""
 
 import array
 from collections.abc import Sequence
@@ -158,19 +158,19 @@ def judge_result(
         "warm": str(quality.warm).lower(),
         "runtime_ms": f"{1e3 * quality.runtime_s:.1f}",
     }
-    common = _common(result.stamp, now, str(estimate.status), quality.events)
+    common = _window_values(result.stamp, now, str(estimate.status), quality.events)
     level = max(_LEVELS[estimate.status], Level.WARN if problems else Level.OK)
-    return Report(level, "; ".join([_message(estimate), *problems]), common | values)
+    return Report(level, "; ".join([_estimate_message(estimate), *problems]), common | values)
 
 
 def judge_dropped(task: Task, reason: str, now: int) -> Report:
     """Judge a window that was dropped for this reason; `now` is ROS time, ns."""
-    return Report(Level.WARN, f"dropped: {reason}", _lost(task, now, "dropped"))
+    return Report(Level.WARN, f"dropped: {reason}", _lost_values(task, now, "dropped"))
 
 
 def judge_failed(task: Task, reason: str, now: int) -> Report:
     """Judge a window that the worker failed at for this reason; `now` is ROS time, ns."""
-    return Report(Level.ERROR, reason, _lost(task, now, "failed"))
+    return Report(Level.ERROR, reason, _lost_values(task, now, "failed"))
 
 
 def to_image(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
@@ -218,17 +218,17 @@ def to_status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
     )
 
 
-def _message(estimate: Estimate) -> str:
+def _estimate_message(estimate: Estimate) -> str:
     if estimate.status is Status.OK and not estimate.translation_observable:
         return f"{estimate.status}, translation not observable"
     return str(estimate.status)
 
 
-def _lost(task: Task, now: int, status: str) -> dict[str, str]:
-    return _common(task.stamp, now, status, len(task.window.events))
+def _lost_values(task: Task, now: int, status: str) -> dict[str, str]:
+    return _window_values(task.stamp, now, status, len(task.window.events))
 
 
-def _common(stamp: int, now: int, status: str, events: int) -> dict[str, str]:
+def _window_values(stamp: int, now: int, status: str, events: int) -> dict[str, str]:
     sec, nanosec = divmod(stamp, NS_PER_S)
     return {
         "stamp": f"{sec}.{nanosec:09d}",

@@ -215,7 +215,7 @@ class Pipeline:
 
     def report(self) -> Report:
         """Judge the time since the last report."""
-        self.take_outcomes()  # also those that the supervisor could not wake this thread for
+        self.take_outcomes()  # also those for which the supervisor could not wake this thread
         if self._supervisor.has_ended:
             self.statistics.set_problem("worker", Level.ERROR, _ENDED)
             self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)

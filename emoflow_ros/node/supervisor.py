@@ -78,7 +78,7 @@ class Supervisor:
         self._wake = wake
         self._factory = factory
         self._context = multiprocessing.get_context("forkserver")
-        # The factory imports its estimators late; that of the default profile is wanted at once.
+        # The factory imports its estimators late. That of the default profile is loaded beforehand.
         self._context.set_forkserver_preload(
             [factory.partition(":")[0], "emoflow_ros.core.lattice_estimator", serve.__module__]
         )
@@ -136,7 +136,7 @@ class Supervisor:
             while not self._stopping.is_set():
                 try:
                     answered = self._advance()
-                except Exception as error:  # if the thread ended, the node would go on without it
+                except Exception as error:  # the node would go on without this thread
                     if self._stopping.is_set():
                         break
                     self._lose_worker(error)
@@ -157,7 +157,7 @@ class Supervisor:
         job = self.queue.get(_IDLE_S)
         if job is None:
             assert self._worker is not None
-            self._worker.check()  # a death between two windows costs none
+            self._worker.check()  # a worker that dies between two windows costs none
             return False
         self._task = job.task
         self._serve(job)
@@ -255,7 +255,7 @@ class Supervisor:
         self.obstacle = reason
         self._end_worker()
         task, self._task = self._task, None
-        with contextlib.suppress(Exception):  # of `wake`: the outcome is there nevertheless
+        with contextlib.suppress(Exception):  # of `wake`: the outcome is in the queue already
             self._tell(Loss(reason, worker=True, task=task, trace=trace))
 
     def _tell(self, outcome: Outcome) -> None:
