@@ -46,7 +46,7 @@ def _start(context: Any) -> list[Any]:
     from launch.substitutions import LaunchConfiguration
     from launch_ros.actions import Node
 
-    from emoflow_ros.node.launch_arguments import flag, require_package
+    from emoflow_ros.node.ros_arguments import flag, require_package
 
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     parameters = _parameters(value)
@@ -84,7 +84,7 @@ def _start(context: Any) -> list[Any]:
 
 def _parameters(value: dict[str, str]) -> list[Any]:
     """List the sources of parameters: later ones count before earlier ones."""
-    from emoflow_ros.node.launch_arguments import flag, number, parameter_file
+    from emoflow_ros.node.ros_arguments import flag, number, parameter_file
 
     arguments: dict[str, Any] = {
         "use_sim_time": flag("use_sim_time", value["use_sim_time"]),

@@ -36,7 +36,7 @@ def _check(context: Any) -> None:
     """Refuse a bag that is not there before the estimator is started."""
     from launch.substitutions import LaunchConfiguration
 
-    from emoflow_ros.node.launch_arguments import require_path
+    from emoflow_ros.node.ros_arguments import require_path
 
     require_path("bag", LaunchConfiguration("bag").perform(context))
 
@@ -46,7 +46,7 @@ def _start(context: Any) -> list[Any]:
     from launch.substitutions import LaunchConfiguration
     from launch_ros.actions import Node
 
-    from emoflow_ros.node.launch_arguments import flag
+    from emoflow_ros.node.ros_arguments import flag
 
     names = (*ARGUMENTS, "use_sim_time", "namespace")
     value = {name: LaunchConfiguration(name).perform(context) for name in names}

@@ -70,7 +70,7 @@ def test_executable_explains_itself(executable: str) -> None:
 def test_node_process_loads_neither_torch_nor_the_estimator() -> None:
     pytest.importorskip("rclpy", reason="no ROS: run `make test`")
     code = (
-        "import sys, emoflow_ros.node.estimator, msg_adapters; "
+        "import sys, emoflow_ros.node.estimator_node, msg_adapters; "
         "print(sorted({'torch', 'emoflow_ros.core.lattice_estimator', 'emoflow_ros.core.kernels'} "
         "& set(sys.modules)))"
     )

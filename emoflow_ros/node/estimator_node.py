@@ -1,25 +1,112 @@
-"""The lifecycle node: event messages in, egomotion and optical flow out."""
+"""The lifecycle node: its transitions, and the loop that runs its callbacks until the end."""
 
+import contextlib
+import traceback
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 
-from emoflow_ros.node import converters
-from emoflow_ros.node.discovery import TopicSearch
+from emoflow_ros.errors import InputError
 from emoflow_ros.node.event_source import Callbacks, EventSource
-from emoflow_ros.node.parameters import NodeParameters, Settings
+from emoflow_ros.node.outputs import to_diagnostics
+from emoflow_ros.node.parameters import NodeParameters
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.ros_arguments import refused_in_one_line
+from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import FACTORY
-from emoflow_ros.node.transition import answer_every_wish, log_error, transition
+from emoflow_ros.node.topic_search import TopicSearch
 
 _DIAGNOSTICS_DEPTH = 10
+
+
+def run_node(factory: str, give_end: Callable[[Callable[[], None]], None]) -> None:
+    """Make the node, run it until the end is asked for, and destroy it.
+
+    Args:
+        factory: `module:function` that makes the estimator in the worker.
+        give_end: gets the function that asks for the end, from any thread.
+
+    Raises:
+        InputError: ROS or the node cannot start with the ROS arguments of the command line.
+    """
+    node = None
+    try:
+        with refused_in_one_line():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = EstimatorNode(factory)
+        spin_until_asked(node, give_end)
+    finally:
+        if node is not None:
+            node.destroy_node()
+        try_shutdown()
+
+
+def spin_until_asked(node: Node, give_end: Callable[[Callable[[], None]], None]) -> None:
+    """Run a node's callbacks until the end is asked for; the arguments are those of `run_node`.
+
+    rclpy's spin_until_future_complete keeps a function for every callback that it has run.
+    """
+    is_asked = False
+
+    def end() -> None:
+        nonlocal is_asked
+        is_asked = True
+
+    wish = node.create_guard_condition(end)
+
+    def ask() -> None:
+        with contextlib.suppress(InvalidHandle):  # the node is gone already
+            wish.trigger()
+
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    give_end(ask)
+    while not is_asked:
+        executor.spin_once()
+
+
+def transition(
+    body: Callable[["EstimatorNode", LifecycleState], None],
+) -> Callable[..., TransitionCallbackReturn]:
+    """Make a lifecycle callback that logs why it failed; rclpy would log nothing.
+
+    Bad input is a failure: the node stays in its state. Any other exception is an error, after
+    which rclpy calls `on_error`. While the node is being made, nothing is logged: the caller gets
+    the exception.
+    """
+
+    def callback(self: "EstimatorNode", state: LifecycleState) -> TransitionCallbackReturn:
+        self.failure = None
+        try:
+            body(self, state)
+        except InputError as error:
+            self.failure = error
+            if not self.is_starting:
+                self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.failure = error
+            if not self.is_starting:
+                _log_error(self, body.__name__, error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    callback.__doc__ = body.__doc__
+    return callback
 
 
 class EstimatorNode(LifecycleNode):
@@ -49,7 +136,7 @@ class EstimatorNode(LifecycleNode):
         self.is_starting = False
         self._factory = factory
         self._pipeline: Pipeline | None = None
-        # What configuring and activating have made, to be taken back in the opposite order.
+        # They undo what configuring and activating made, in reverse order.
         self._configured = ExitStack()
         self._activated = ExitStack()
         self._outcome_waits = self.create_guard_condition(self._take_outcomes)
@@ -58,7 +145,7 @@ class EstimatorNode(LifecycleNode):
             is_configured=lambda: self._pipeline is not None,
             on_change=self._apply_settings,
         )
-        answer_every_wish(self)
+        _refuse_impossible_transitions(self)
         if self._settings.node.autostart:
             self._start()
 
@@ -71,7 +158,7 @@ class EstimatorNode(LifecycleNode):
         return self._table.settings
 
     def _start(self) -> None:
-        """Configure and activate; raise what keeps one of them from it."""
+        """Configure and activate; raise the exception of the one that fails."""
         self.is_starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             trigger()
@@ -144,11 +231,11 @@ class EstimatorNode(LifecycleNode):
         self._release()
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave nothing after a transition that ended in an error: the node is unconfigured."""
+        """Undo everything after a transition that ended in an error: the node is unconfigured."""
         try:
             self._release()
         except Exception as error:
-            log_error(self, "cleaning up after it", error)
+            _log_error(self, "cleaning up after it", error)
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
@@ -159,7 +246,7 @@ class EstimatorNode(LifecycleNode):
             super().destroy_node()
 
     def _release(self) -> None:
-        """Take back what was made, all of it, also where a part of that fails."""
+        """Undo all that was made, even if a part of that fails."""
         self._pipeline = None
         with self._configured, self._activated:
             pass
@@ -179,4 +266,35 @@ class EstimatorNode(LifecycleNode):
         report = self._pipeline.report()
         stamp = self.get_clock().now().to_msg()
         name = self.get_fully_qualified_name()
-        self._diagnostics.publish(converters.to_diagnostics(name, report, stamp))
+        self._diagnostics.publish(to_diagnostics(name, report, stamp))
+
+
+def _log_error(node: Node, action: str, error: Exception) -> None:
+    """Log an unexpected exception with its traceback."""
+    trace = "".join(traceback.format_exception(error))
+    node.get_logger().error(f"{action} failed: {type(error).__name__}: {error}\n{trace}")
+
+
+def _refuse_impossible_transitions(node: LifecycleNode) -> None:
+    """Let the service change_state refuse what is impossible; rclpy would raise, or say nothing."""
+    service = node._service_change_state
+    change = service.callback
+
+    def answer(
+        request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        wish = request.transition
+        machine = node._state_machine
+        possible = {number: label for number, label, *_ in machine.available_transitions}
+        if wish.label in possible.values() if wish.label else wish.id in possible:
+            return change(request, response)
+        choices = ", ".join(f"{label} ({number})" for number, label in sorted(possible.items()))
+        node.get_logger().error(
+            f"change_state: transition {wish.label or wish.id} is refused: the node is "
+            f"{machine.current_state[1]}; possible: {choices or 'none'}. A node that a manager "
+            "configures needs autostart:=false"
+        )
+        response.success = False
+        return response
+
+    service.callback = answer

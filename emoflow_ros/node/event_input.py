@@ -1,4 +1,4 @@
-"""From serialised event messages to windows; what is wrong with a message ends here."""
+"""From serialised event messages to windows; messages that cannot be used are left out here."""
 
 import time
 from collections.abc import Callable
@@ -14,16 +14,15 @@ from emoflow_ros.core.windows import (
     WindowPolicy,
     WindowSlicer,
 )
-from emoflow_ros.node.statistics import Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 
-# A step back in time of less than this is disorder, more is another run of the recording.
+# A smaller step back in time is disorder, a larger one starts another run of the recording.
 _DISORDER = 100 * NS_PER_MS
-# After a step forward of more than this the stream is another one, too: a seek, or a sensor whose
-# clock has wrapped unseen in the meantime.
+# A larger step forward also starts another run: a seek, or a sensor clock that wrapped unseen.
 _GAP = 10 * NS_PER_S
-# A million events as EventArray; what is larger can only be wrong.
+# A million events as EventArray; a larger message is taken for a malformed one.
 _MAX_BYTES = 16 * 2**20
 
 
@@ -73,7 +72,7 @@ class EventInput:
 
     @property
     def camera(self) -> Camera | None:
-        """Whose events are expected; None expects those of the first message's sensor."""
+        """The camera of the events; None while it is unknown."""
         return self._camera
 
     @camera.setter
@@ -84,16 +83,16 @@ class EventInput:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Width and height in px of the sensor whose events are taken; None while any is."""
+        """Width and height in px, of the camera or of the first message; None before both."""
         return self._camera.size if self._camera else self._size
 
     @property
     def encoding(self) -> str:
-        """That of the last message, as EventPacket names it; empty for types that have one only."""
+        """Encoding of the last message, as EventPacket names it; empty for types with only one."""
         return self._decoder.statistics.encoding
 
     def set_policy(self, policy: WindowPolicy) -> None:
-        """Cut the events from now on differently; those of an unfinished window are left out."""
+        """Cut later events by this policy; events of an unfinished window are left out."""
         if policy != self._slicer.policy:
             self._slicer = WindowSlicer(policy)
 
@@ -102,7 +101,7 @@ class EventInput:
         message = self._decode(data)
         if message is not None and self._has_jumped(message):
             self._size = None  # another recording may be that of another sensor
-            message = self._decode(data)  # the sensor's time was counted on from before the jump
+            message = self._decode(data)  # again: its times were counted on from before the jump
         if message is None:
             return []
         self._stamp = message.stamp
@@ -133,7 +132,10 @@ class EventInput:
             return None
 
     def _has_jumped(self, message: EventMessage) -> bool:
-        """Look for a jump; one back of a sensor whose time wraps shows in the stamps only."""
+        """Look for a jump in time, and start the next epoch at one.
+
+        If the sensor's time wraps, a jump back shows in the stamps only.
+        """
         if self._stamp is None:
             return False
         step = message.stamp - self._stamp
@@ -145,7 +147,7 @@ class EventInput:
         return True
 
     def _start_epoch(self, step: int) -> None:
-        """Forget all that was before a step of time, ns."""
+        """Start the next epoch after a step of time (ns): forget what was before it."""
         self.epoch += 1
         way = "back" if step < 0 else "forward"
         self.jump = f"event time went {way} by {abs(step) / NS_PER_S:.3f} s"

@@ -1,8 +1,9 @@
-"""The node's subscriptions: finds the event topic and the camera_info beside it."""
+"""The subscriptions to events and camera_info, made as soon as the event topic is found."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -12,21 +13,27 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import EventTopic, TopicSearch, import_message_type
-from emoflow_ros.node.qos_overrides import given_overrides
+from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.ros_arguments import refused_values
-from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.topic_search import (
+    EventTopic,
+    TopicSearch,
+    import_message_type,
+    topic_beside,
+)
 
 _EVENT_DEPTH = 1000  # as event camera drivers publish
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+_POLICIES = QoSOverridingOptions.with_default_policies().policy_kinds
 _LOOK_S = 0.1
 _THROTTLE_S = 5.0
 
 
 @dataclass(frozen=True)
 class Callbacks:
-    """Who gets what.
+    """The functions that take what comes.
 
     Attributes:
         topic: told which topic was found; again if it turns out to be another one.
@@ -42,9 +49,9 @@ class Callbacks:
 class EventSource:
     """Looks for the event topic until it is there, then subscribes.
 
-    A topic that nobody asked for is given up again if another one appears before its first
-    event, and the choice is open again. It is given up for `events` until it is used. After that
-    another one is only named in the log.
+    A topic that the user did not name can be given up again: before its first event, if another
+    event topic appears, so that the user has to choose; and until its events are used, if
+    somebody publishes `events`. After that, other topics are only named in the log.
 
     Args:
         node: to subscribe with.
@@ -52,7 +59,7 @@ class EventSource:
         is_ready: whether messages can be taken yet.
         is_used: whether events of the present topic have been used, and would now be mixed with
             those of another one.
-        callbacks: who gets what.
+        callbacks: take what comes.
         statistics: told while there is no topic.
     """
 
@@ -114,7 +121,7 @@ class EventSource:
             self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
 
     def _name_others(self) -> None:
-        """Say, when that changes, which event topics there are besides the one in use."""
+        """Log the event topics besides the one in use, whenever they change."""
         assert self._topic is not None
         others = self._search.others(self._topic)
         if others and others != self._named:
@@ -143,7 +150,7 @@ class EventSource:
     def _subscribe(self, topic: EventTopic) -> None:
         message_type = import_message_type(topic.type)
         self._topic = topic
-        if topic.name == self._search.name:  # asked for: there is nothing left to decide
+        if topic.name == self._search.name:  # the user named it: nothing is left to decide
             self._node.destroy_timer(self._timer)
         self._statistics.clear_problem("input")
         self._callbacks.topic(topic)
@@ -151,7 +158,7 @@ class EventSource:
             self._subscriptions.append(
                 self._node.create_subscription(
                     CameraInfo,
-                    camera_info_topic(self._node, topic),
+                    topic_beside(self._node, topic, "camera_info"),
                     self._callbacks.camera_info,
                     _CAMERA_INFO_QOS,
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -166,7 +173,7 @@ class EventSource:
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=lambda _: self._report_incompatible_qos(topic)
                 ),
-                qos_overriding_options=given_overrides(self._node, topic.name),
+                qos_overriding_options=_given_overrides(self._node, topic.name),
                 raw=True,
             )
         )
@@ -186,13 +193,24 @@ class EventSource:
         )
 
 
+def to_camera(info: CameraInfo) -> Camera:
+    """Build the camera model.
+
+    Raises:
+        InputError: the camera is not calibrated, or its lens model is unknown.
+    """
+    return Camera.from_intrinsic_matrix(
+        info.width, info.height, info.k, info.distortion_model, info.d
+    )
+
+
 def _kind(profile: QoSProfile) -> str:
-    """Name what decides whether a subscription gets what a publisher sends."""
+    """Name the two policies that decide whether a publisher and a subscription match."""
     return f"{profile.reliability.name.lower()} {profile.durability.name.lower()}"
 
 
 def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
-    """Ask for what is offered: best effort, as drivers do, or reliable where all publishers are."""
+    """Ask for best effort, as drivers offer it, or for reliable if all publishers are reliable."""
     offered = {p.qos_profile.reliability for p in node.get_publishers_info_by_topic(topic.name)}
     reliable = offered == {ReliabilityPolicy.RELIABLE}
     return QoSProfile(
@@ -202,9 +220,20 @@ def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
     )
 
 
-def camera_info_topic(node: Node, topic: EventTopic) -> str:
-    """Name the topic: `camera_info` if that is remapped, or the one beside the events."""
-    name: str = node.resolve_topic_name("camera_info")
-    if name != node.resolve_topic_name("camera_info", only_expand=True):
-        return name
-    return topic.camera_info
+def _given_overrides(node: Node, topic: str) -> QoSOverridingOptions:
+    """Return the QoS policies that the user has given for subscriptions to a topic (full name).
+
+    For every policy that may be overridden, rclpy declares a read-only parameter with the value of
+    the first subscription. All later subscriptions to that topic would take over that value.
+    """
+    names = {p: f"qos_overrides.{topic}.subscription.{p.name.lower()}" for p in _POLICIES}
+    return QoSOverridingOptions([p for p, name in names.items() if _is_given(node, name)])
+
+
+def _is_given(node: Node, name: str) -> bool:
+    if node.has_parameter(name):  # an earlier subscription declared it, because it was given
+        return True
+    node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True))
+    given = node.get_parameter(name).value is not None
+    node.undeclare_parameter(name)
+    return given

@@ -17,11 +17,11 @@ from emoflow_ros.node.tasks import Task
 type Mounting = Callable[[str, str], NDArray[np.float64]]
 
 _CAPACITY = 8192  # readings: 4 s at 2 kHz
-_DISORDER = 100 * NS_PER_MS  # a step back of less is disorder, more is another run of the recording
+_DISORDER = 100 * NS_PER_MS  # a larger step back starts another run of the recording
 _WAIT_S = 0.008
 _LIVE = 200 * NS_PER_MS  # a gyro that is further behind than this is not waited for
 _SILENT_S = 0.5
-_SAME_CLOCK = NS_PER_S
+_SAME_CLOCK = NS_PER_S  # with a larger offset, event times are not ROS times
 _ANGULAR = 13 * 8  # bytes after the header: orientation and its covariance
 _NOT_MEASURED = -1.0
 _HEAD = {"<": struct.Struct("<iII"), ">": struct.Struct(">iII")}
@@ -29,11 +29,11 @@ _BODY = {"<": struct.Struct("<4d"), ">": struct.Struct(">4d")}
 
 
 class MountingError(Exception):
-    """How the IMU sits is not known yet; says why."""
+    """The orientation of the IMU is not known yet; the text says why."""
 
 
 class ReadingBuffer:
-    """The latest readings, at least 4096 of them, in arrays that are never made anew."""
+    """The latest readings, at least 4096 of them, in arrays that are allocated once."""
 
     def __init__(self) -> None:
         self._t = np.zeros(_CAPACITY, np.int64)
@@ -46,7 +46,7 @@ class ReadingBuffer:
         self.latest: int | None = None
 
     def add(self, t: int, x: float, y: float, z: float) -> None:
-        """Take a reading; one that is a little late is left out, one from long ago starts anew."""
+        """Take a reading; a slightly late one is left out, one from long ago clears the buffer."""
         latest = self.latest
         if latest is not None and t <= latest:
             if latest - t < _DISORDER:
@@ -73,9 +73,9 @@ class ReadingBuffer:
 class ImuInput:
     """Gives windows the readings that cover them.
 
-    A window waits for readings up to its end, 8 ms at most, and not for a gyro that is silent. The
-    stamps of the IMU are compared with the events' own times where these are ROS times, within a
-    second, and are mapped to them otherwise.
+    A window waits for readings up to its end, 8 ms at most, and not for a gyro that is silent.
+    Where the events' own times are ROS times, within a second, the stamps of the IMU are compared
+    with them directly. Otherwise the stamps are mapped to the events' times.
 
     Args:
         config: `rotation` is looked up with `mounting`.
@@ -148,7 +148,7 @@ class ImuInput:
         return count
 
     def problem(self, topic: str) -> str:
-        """Say why windows go without readings of the topic; empty if they do not, or none is known.
+        """Say why windows have no readings of the topic; empty if they have, or if it is unknown.
 
         A topic that nobody has published yet is a problem only where the gyro is required.
         """

@@ -1,30 +1,33 @@
-"""The IMU of a node: what it is called, how it is mounted, and when windows have waited enough."""
+"""The subscription to the IMU, its mounting, and the timers that hand windows on."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu
 
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.gyro_faults import GyroState
-from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.imu_input import ImuInput, MountingError
-from emoflow_ros.node.polled_subscription import PolledSubscription
-from emoflow_ros.node.statistics import Level, Statistics
 from emoflow_ros.node.target_frame import NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
+from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
 )
+_MOST = 2000  # messages in one fetch
 _FETCH_S = 0.05  # between events, so that the middleware's history does not overflow
 _LOOK_S = 0.004  # while a window waits
 
@@ -34,10 +37,10 @@ class ImuSource:
 
     Args:
         node: subscribes, and listens to tf.
-        config: of the gyro, `use` is not off.
+        config: of the gyro; its `use` is not off.
         hand_on: gets windows that wait no longer.
         statistics: told what is wrong with the gyro.
-        made: gets what takes this back.
+        made: gets the calls that take this down.
 
     Raises:
         InputError: the mounting is to come from tf, and tf2_ros is not installed.
@@ -74,7 +77,7 @@ class ImuSource:
     def listen(self, topic: EventTopic) -> None:
         """Take the IMU beside this event topic from now on."""
         self.stop()
-        self._topic = imu_topic(self._node, topic)
+        self._topic = topic_beside(self._node, topic, "imu")
         self._subscription = PolledSubscription(
             self._node, Imu, self._topic, _QOS, self._input.take
         )
@@ -130,9 +133,64 @@ class ImuSource:
             raise MountingError(str(error)) from None
 
 
-def imu_topic(node: Node, topic: EventTopic) -> str:
-    """Name the topic: `imu` if that is remapped, or the one beside the events."""
-    name: str = node.resolve_topic_name("imu")
-    if name != node.resolve_topic_name("imu", only_expand=True):
-        return name
-    return f"{topic.name.rpartition('/')[0]}/imu"
+class PolledSubscription:
+    """A subscription whose serialised messages are fetched, many at a time.
+
+    An ordinary subscription costs a turn of the executor per message. On a busy machine a turn
+    takes more than 1 ms: at 1000 messages per second such a subscription falls further and further
+    behind. Between two fetches the middleware keeps as many messages as `qos` says.
+
+    Args:
+        node: to subscribe with.
+        message_type: class of the messages.
+        topic: its name.
+        qos: its depth has to hold what comes between two calls of `fetch`.
+        take: gets each message.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        message_type: Any,
+        topic: str,
+        qos: QoSProfile,
+        take: Callable[[bytes], None],
+    ) -> None:
+        self._node = node
+        self._take = take
+        self._subscription = node.create_subscription(
+            message_type,
+            topic,
+            take,
+            qos,
+            callback_group=_NeverCalled(),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            raw=True,
+        )
+
+    def fetch(self) -> None:
+        """Hand on the messages that have come."""
+        subscription = self._subscription
+        with subscription.handle:
+            for _ in range(_MOST):
+                found = subscription.handle.take_message(subscription.msg_type, True)
+                if found is None:
+                    return
+                self._take(found[0])
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._node.destroy_subscription(self._subscription)
+
+
+class _NeverCalled(CallbackGroup):
+    """The executor never calls back for anything in this group."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: nothing begins."""

@@ -1,32 +1,49 @@
-"""The node's topics: what of a window is published where."""
+"""What is published of a window: its status and pictures, and its twists by `twist_output`."""
 
+import array
+from collections.abc import Sequence
 from contextlib import ExitStack
+from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point
+from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import Image
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.node import converters
-from emoflow_ros.node.parameters import NodeOptions, ScaleOptions
-from emoflow_ros.node.pictures import ENCODINGS, Picture
-from emoflow_ros.node.scale import Scale
-from emoflow_ros.node.statistics import Level, Report, Statistics
+from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.target_frame import NoTransformError
-from emoflow_ros.node.tasks import Result, Task, Wishes
-from emoflow_ros.node.twist_output import TwistOutput, make_publisher
-from emoflow_ros.node.window_status import judge_dropped, judge_failed, judge_result
+from emoflow_ros.node.tasks import Picture, Result, Task, Wishes
+from emoflow_ros.node.twist_output import Scale, TwistOutput, make_publisher, to_header
+
+_ENCODINGS = {Picture.FLOW: "32FC2", Picture.COLOR: "rgb8", Picture.EVENTS: "mono8"}
+_TRACK_WIDTH = 0.004  # m, at a distance of 1 m: about a pixel
+_TRACK_COLOR = (1.0, 0.75, 0.1)
+_TRACK_LIFETIME = Duration(sec=2)
+_LEVELS = {
+    Status.OK: Level.OK,
+    Status.TOO_FEW_EVENTS: Level.WARN,
+    Status.NO_MOTION: Level.WARN,
+    Status.UNCERTAIN: Level.WARN,
+    Status.DIVERGED: Level.ERROR,
+}
 
 
 class Outputs:
-    """Publishes windows on the topics of a lifecycle node, which must be active for that.
+    """Publishes what becomes of windows; the lifecycle node must be active for that.
 
     Args:
         node: to publish with.
         options: what to publish.
         statistics: told while twists are not what was asked for.
-        made: gets what takes the topics away.
+        made: gets the calls that take the topics away.
 
     Raises:
         InputError: the options need a package that is not installed.
@@ -50,12 +67,12 @@ class Outputs:
         }
 
     def set_scale(self, options: ScaleOptions) -> None:
-        """Take the scale from somewhere else from now on."""
+        """Take the scale from where these options say from now on."""
         self._scale.set_options(options)
 
     @property
     def wishes(self) -> Wishes:
-        """What results are to hold: of the pictures those that somebody subscribes to now."""
+        """What results are to hold: only those pictures that somebody subscribes to now."""
         subscribed = (p for p in Picture if self._pictures[p].get_subscription_count() > 0)
         return Wishes(
             tuple(subscribed),
@@ -82,11 +99,11 @@ class Outputs:
         self._publish_status(judge_result(result, self._now(), scaling.source, found))
 
     def publish_dropped(self, task: Task, reason: str) -> None:
-        """Publish the status of a window that had to make room for this reason."""
+        """Publish the status of a window that was dropped for this reason."""
         self._publish_status(judge_dropped(task, reason, self._now()))
 
     def publish_failed(self, task: Task, reason: str) -> None:
-        """Publish the status of a window that the worker failed at."""
+        """Publish the status of a window that the worker failed at for this reason."""
         self._publish_status(judge_failed(task, reason, self._now()))
 
     def _publish_twists(self, result: Result, factor: float) -> str:
@@ -98,18 +115,124 @@ class Outputs:
         return ""
 
     def _publish_pictures(self, result: Result) -> None:
-        header = converters.to_header(result.stamp, result.task.frame_id)
+        header = to_header(result.stamp, result.task.frame_id)
         for name, drawn in result.pictures.items():
             picture = Picture(name)
             if picture is Picture.TRACKS:
-                message = converters.to_tracks(drawn, header)
+                message = to_tracks(drawn, header)
             else:
-                message = converters.to_image(drawn, ENCODINGS[picture], header)
+                message = to_image(drawn, _ENCODINGS[picture], header)
             self._pictures[picture].publish(message)
 
     def _publish_status(self, report: Report) -> None:
         name = self._node.get_fully_qualified_name()
-        self._status.publish(converters.to_status(f"{name}: window", name, report))
+        self._status.publish(to_status(f"{name}: window", name, report))
 
     def _now(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
+
+
+def judge_result(
+    result: Result, now: int, scale: str = "none", problems: Sequence[str] = ()
+) -> Report:
+    """Judge a window that the worker answered.
+
+    Args:
+        result: the answer.
+        now: ROS time of publishing, ns.
+        scale: where that of the published twist comes from, as `scale.source` names it.
+        problems: what kept the twist from being published as it was asked for.
+    """
+    estimate = result.estimate
+    quality = estimate.quality
+    values = {
+        "model": str(estimate.model),
+        "translation_observable": str(estimate.translation_observable).lower(),
+        "scale": scale,
+        "gyro": str(estimate.gyro),
+        "contrast_gain": f"{quality.contrast_gain:.3f}",
+        "residual_px": f"{quality.residual_px:.3f}",
+        "inlier_fraction": f"{quality.inlier_fraction:.3f}",
+        "iterations": str(quality.iterations),
+        "stop_reason": quality.stop_reason,
+        "warm": str(quality.warm).lower(),
+        "runtime_ms": f"{1e3 * quality.runtime_s:.1f}",
+    }
+    common = _window_values(result.stamp, now, str(estimate.status), quality.events)
+    level = max(_LEVELS[estimate.status], Level.WARN if problems else Level.OK)
+    return Report(level, "; ".join([_estimate_message(estimate), *problems]), common | values)
+
+
+def judge_dropped(task: Task, reason: str, now: int) -> Report:
+    """Judge a window that was dropped for this reason; `now` is ROS time, ns."""
+    return Report(Level.WARN, f"dropped: {reason}", _lost_values(task, now, "dropped"))
+
+
+def judge_failed(task: Task, reason: str, now: int) -> Report:
+    """Judge a window that the worker failed at for this reason; `now` is ROS time, ns."""
+    return Report(Level.ERROR, reason, _lost_values(task, now, "failed"))
+
+
+def to_image(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
+    """Build an image from pixels (height, width, ...) that are laid out as the encoding says."""
+    height, width = pixels.shape[:2]
+    return Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=pixels.nbytes // height,
+        data=array.array("B", pixels.tobytes()),
+    )
+
+
+def to_tracks(lines: NDArray[np.float32], header: Header) -> Marker:
+    """Build a marker of line segments (S, 2, 4): x, y, z in m and opacity; it replaces the last."""
+    marker = Marker(header=header, ns="tracks", type=Marker.LINE_LIST, action=Marker.ADD)
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = _TRACK_WIDTH
+    marker.lifetime = _TRACK_LIFETIME
+    marker.frame_locked = True
+    ends = lines.reshape(-1, 4).tolist()
+    red, green, blue = _TRACK_COLOR
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z, _ in ends]
+    marker.colors = [ColorRGBA(r=red, g=green, b=blue, a=opacity) for *_, opacity in ends]
+    return marker
+
+
+def to_diagnostics(name: str, report: Report, stamp: Time) -> DiagnosticArray:
+    """Build the diagnostics of one node."""
+    status = to_status(f"{name}: estimator", name, report)
+    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
+
+
+def to_status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
+    """Build one status: level, message and numbers of a report."""
+    return DiagnosticStatus(
+        level=bytes([report.level]),
+        name=name,
+        message=report.message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
+    )
+
+
+def _estimate_message(estimate: Estimate) -> str:
+    if estimate.status is Status.OK and not estimate.translation_observable:
+        return f"{estimate.status}, translation not observable"
+    return str(estimate.status)
+
+
+def _lost_values(task: Task, now: int, status: str) -> dict[str, str]:
+    return _window_values(task.stamp, now, status, len(task.window.events))
+
+
+def _window_values(stamp: int, now: int, status: str, events: int) -> dict[str, str]:
+    sec, nanosec = divmod(stamp, NS_PER_S)
+    return {
+        "stamp": f"{sec}.{nanosec:09d}",
+        "status": status,
+        "events": str(events),
+        "lag_ms": f"{(now - stamp) / NS_PER_MS:.1f}",
+    }

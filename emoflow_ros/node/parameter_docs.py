@@ -7,7 +7,8 @@ from pathlib import Path
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.options import OptionInfo
-from emoflow_ros.node.parameters import NodeOptions, Settings, changes, table
+from emoflow_ros.node.parameters import changes
+from emoflow_ros.node.settings import NodeOptions, Settings, table
 
 _HEAD = """\
 # Parameters of the node

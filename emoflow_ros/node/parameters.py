@@ -1,8 +1,7 @@
-"""The node's parameters: one typed table, from which they are declared, checked and changed."""
+"""The node's ROS parameters: declared, checked and changed by the typed table of `settings`."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from enum import StrEnum
 from typing import Any
 
@@ -16,25 +15,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.options import (
-    OptionInfo,
-    options_of,
-    replace_options,
-    unknown_option,
-)
+from emoflow_ros.core.options import OptionInfo, unknown_option
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.node_options import NodeOptions, OutputOptions, ScaleOptions
-
-__all__ = [
-    "Change",
-    "NodeOptions",
-    "NodeParameters",
-    "OutputOptions",
-    "ScaleOptions",
-    "Settings",
-    "changes",
-    "table",
-]
+from emoflow_ros.node.settings import NodeOptions, Settings, table
 
 _INT64_MAX = 2**63 - 1
 _ONLY_AT_START = ("autostart", "profile", "method")
@@ -48,35 +31,6 @@ _CONNECTIONS = (
 )
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The values of all parameters."""
-
-    node: NodeOptions
-    config: Config
-
-    def changed(self, values: Mapping[str, Any]) -> "Settings":
-        """Return a copy with the parameters of these names changed.
-
-        Raises:
-            InputError: an unknown name, or a value of the wrong type or range.
-        """
-        own = [o.name for o in options_of(self.node)]
-        config = [o.name for o in options_of(self.config)]
-        if unknown := [n for n in values if n not in own and n not in config]:
-            raise unknown_option(unknown[0], [*own, *config])
-        return Settings(
-            replace_options(self.node, {n: v for n, v in values.items() if n in own}),
-            replace_options(self.config, {n: v for n, v in values.items() if n not in own}),
-        )
-
-
-def table(settings: Settings) -> Iterable[OptionInfo]:
-    """List all parameters."""
-    yield from options_of(settings.node)
-    yield from options_of(settings.config)
 
 
 class Change(StrEnum):

@@ -13,20 +13,18 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.need_torch import require_torch
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import converters
-from emoflow_ros.node.calibration_path import calibration_path
-from emoflow_ros.node.discovery import EventTopic
+from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.event_input import EventInput
-from emoflow_ros.node.event_source import camera_info_topic
+from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.parameters import Settings
-from emoflow_ros.node.statistics import Level, Report, Statistics
+from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task
+from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _THROTTLE_S = 5.0
-# What does not change by itself: a reminder for who reads the log later.
+# A problem that lasts until somebody acts is logged again after this time.
 _REMINDER_S = 30.0
 _SLOW = (
     "the estimation is slower than the events; give longer windows, or fewer estimator.max_events"
@@ -42,16 +40,16 @@ class Pipeline:
     """Cuts the events of a topic into windows, has them estimated, and publishes the results.
 
     Windows wait here until there is a calibration. Each then goes to the worker with the camera,
-    the configuration and the wishes that hold at that moment. What is on its way when an epoch
-    ends is forgotten: counted, and not published. All of it is in the executor's
-    thread; the supervisor has a thread of its own.
+    the configuration and the wishes that hold at that moment. When an epoch ends, the windows on
+    their way are forgotten: they are counted and not published. The pipeline runs in the
+    executor's thread; the supervisor has a thread of its own.
 
     Args:
         node: to publish with.
         settings: the values of the parameters.
         factory: `module:function` that makes the estimator in the worker.
         wake: called in the supervisor's thread when `take_outcomes` has something to do.
-        made: gets what takes the pipeline back.
+        made: gets the calls that take the pipeline down.
 
     Attributes:
         statistics: what is counted, and what is wrong.
@@ -159,7 +157,7 @@ class Pipeline:
         self._input.camera = self._camera
         self._node.get_logger().info(f"listening to {topic.name} ({topic.type})")
         if self._camera is None:
-            wanted = camera_info_topic(self._node, topic)
+            wanted = topic_beside(self._node, topic, "camera_info")
             self._miss_camera(
                 f"no calibration yet: publish {wanted} or give camera.calibration_file"
             )
@@ -187,7 +185,7 @@ class Pipeline:
     def take_camera_info(self, info: CameraInfo) -> None:
         """Take a calibration, which may be the one in use."""
         try:
-            camera = converters.to_camera(info)
+            camera = to_camera(info)
         except InputError as error:
             self._miss_camera(f"camera_info: {error}")
             self._node.get_logger().error(
@@ -217,7 +215,7 @@ class Pipeline:
 
     def report(self) -> Report:
         """Judge the time since the last report."""
-        self.take_outcomes()  # also those that the supervisor could not wake this thread for
+        self.take_outcomes()  # also those for which the supervisor could not wake this thread
         if self._supervisor.has_ended:
             self.statistics.set_problem("worker", Level.ERROR, _ENDED)
             self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)

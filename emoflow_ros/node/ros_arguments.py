@@ -1,5 +1,9 @@
-"""ROS arguments that cannot be used, as one clear line instead of rclpy's traceback."""
+"""Arguments for ROS, of the executables and of the launch files.
 
+What is wrong with one becomes an InputError of one line, before anything is started.
+"""
+
+import math
 import re
 import sys
 from collections.abc import Iterator
@@ -20,7 +24,7 @@ _WRONG_TYPE = re.compile(r"parameter '(.+?)' to '(.*)' of type '\w+', expecting 
 
 _PARAMETER_FILE = "params file"
 _FILE_FIX = "give a YAML file of ROS parameters, as `ros2 param dump` writes it"
-# By what rcl calls it: what is wrong, where rcl itself only names its lexemes, and what to do.
+# By what rcl calls the argument: what is wrong (rcl itself names its lexemes only), what to do.
 _RULES = {
     "parameter override rule": ("not of the form NAME:=VALUE", "write -p NAME:=VALUE"),
     "remap rule": (
@@ -49,8 +53,8 @@ def own_arguments() -> list[str]:
 def refused_in_one_line() -> Iterator[None]:
     """Turn what rclpy raises for bad ROS arguments into an InputError.
 
-    It is meant for `rclpy.init` and the making of a node, which read them. rclpy's exceptions
-    have no parts, only their text.
+    It is meant for `rclpy.init` and the constructor of a node, which read them. The exceptions of
+    rclpy hold nothing but text, so the text is searched.
 
     Raises:
         InputError: a ROS argument cannot be used, or rcl cannot start in this environment.
@@ -86,6 +90,73 @@ def refused_values() -> Iterator[None]:
             wrong = f"'{found[2]}' is no such policy"
             raise InputError(where, wrong, "correct the value") from None
         raise
+
+
+def flag(name: str, text: str) -> bool:
+    """Read a launch argument that is true or false, in any case.
+
+    Raises:
+        InputError: it is neither.
+    """
+    values = {"true": True, "false": False}
+    if text.lower() not in values:
+        raise InputError(name, f"'{text}' is neither true nor false", "use one of the two")
+    return values[text.lower()]
+
+
+def number(name: str, text: str) -> float:
+    """Read a launch argument that is a number.
+
+    Raises:
+        InputError: it is not a number, or not a finite one.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(name, f"'{text}' is not a number", "give one, as in 10.0")
+    return value
+
+
+def parameter_file(text: str, sensors: Path) -> str:
+    """Find a parameter file by its path, or by the name of one in the folder of sensors.
+
+    Raises:
+        InputError: there is none.
+    """
+    named = sensors / f"{text}.yaml"
+    if named.is_file():
+        return str(named)
+    if Path(text).is_file():
+        return text
+    known = ", ".join(sorted(path.stem for path in sensors.glob("*.yaml")))
+    raise InputError("params_file", f"no file '{text}'", f"give a path or one of {known}")
+
+
+def require_path(name: str, text: str) -> None:
+    """Refuse a launch argument that is the path of no file or folder.
+
+    Raises:
+        InputError: there is none.
+    """
+    if not Path(text).exists():
+        raise InputError(name, f"no file or folder '{text}'", "check the path")
+
+
+def require_package(name: str, package: str) -> None:
+    """Refuse a launch argument that needs a ROS package which is not installed.
+
+    Raises:
+        InputError: the package is not installed.
+    """
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        get_package_prefix(package)
+    except PackageNotFoundError:
+        fix = f"install ros-jazzy-{package.replace('_', '-')} or leave {name} out"
+        raise InputError(name, f"the package {package} is not installed", fix) from None
 
 
 def _bad_value(text: str) -> InputError:

@@ -16,12 +16,17 @@ from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.twist import grid_times
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.answer import unpack
-from emoflow_ros.node.channel import Arrays
-from emoflow_ros.node.queue import DropOldestQueue
-from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Task
-from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
-from emoflow_ros.node.worker_process import WorkerDiedError, WorkerProcess
+from emoflow_ros.node.tasks import (
+    Arrays,
+    DropOldestQueue,
+    Job,
+    Loss,
+    Notice,
+    Outcome,
+    Task,
+    unpack,
+)
+from emoflow_ros.node.worker import WARM_UP_CAMERA, WorkerDiedError, WorkerProcess, serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 
@@ -73,7 +78,7 @@ class Supervisor:
         self._wake = wake
         self._factory = factory
         self._context = multiprocessing.get_context("forkserver")
-        # The factory imports its estimators late; that of the default profile is wanted at once.
+        # The factory imports its estimators late. That of the default profile is loaded beforehand.
         self._context.set_forkserver_preload(
             [factory.partition(":")[0], "emoflow_ros.core.lattice_estimator", serve.__module__]
         )
@@ -131,7 +136,7 @@ class Supervisor:
             while not self._stopping.is_set():
                 try:
                     answered = self._advance()
-                except Exception as error:  # a thread that ended would leave a node that lives on
+                except Exception as error:  # the node would go on without this thread
                     if self._stopping.is_set():
                         break
                     self._lose_worker(error)
@@ -143,7 +148,7 @@ class Supervisor:
             self._end_worker()
 
     def _advance(self) -> bool:
-        """Start a worker if there is none, and run the oldest job if there is one."""
+        """Start a worker if there is none, and run the oldest job; return whether there was one."""
         if self._worker is None:
             self._start_worker()
         if not self.ready.is_set():  # a replacement has windows waiting
@@ -152,7 +157,7 @@ class Supervisor:
         job = self.queue.get(_IDLE_S)
         if job is None:
             assert self._worker is not None
-            self._worker.check()  # a death between two windows costs none
+            self._worker.check()  # a worker that dies between two windows costs none
             return False
         self._task = job.task
         self._serve(job)
@@ -250,7 +255,7 @@ class Supervisor:
         self.obstacle = reason
         self._end_worker()
         task, self._task = self._task, None
-        with contextlib.suppress(Exception):  # of `wake`: the outcome is there nevertheless
+        with contextlib.suppress(Exception):  # of `wake`: the outcome is in the queue already
             self._tell(Loss(reason, worker=True, task=task, trace=trace))
 
     def _tell(self, outcome: Outcome) -> None:

@@ -9,13 +9,13 @@ from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.node.settings import OutputOptions
 
 type Matrix = NDArray[np.float64]
 
 
 class NoTransformError(Exception):
-    """There is no rotation into the frame at this time; says which and why."""
+    """The rotation into the frame is not known at this time; the text says why."""
 
 
 class TargetFrame(Protocol):
@@ -97,8 +97,8 @@ class TfFrame:
     Args:
         node: listens to tf.
         name: of the frame.
-        parameter: that asks for tf.
-        instead: what to do without it.
+        parameter: the parameter that asks for tf, for the error.
+        instead: what the user can do without tf, for the error.
 
     Raises:
         InputError: tf2_ros is not installed.
@@ -146,7 +146,7 @@ class TfFrame:
 
 def _import_tf(parameter: str, instead: str) -> Any:
     try:
-        import tf2_ros  # not a part of every ROS: only who asks for it needs it
+        import tf2_ros  # optional: not every installation of ROS has it
     except ImportError:
         raise InputError(
             parameter,

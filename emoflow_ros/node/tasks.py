@@ -1,13 +1,42 @@
-"""What goes to the worker and what comes back, as the rest of the node knows it."""
+"""What goes to the worker and what comes back.
 
-from dataclasses import dataclass, field
+These are the tasks and their outcomes, the queue in which tasks wait, and the channel between the
+two processes. Only plain data crosses the channel: a JSON header and arrays, no pickled objects.
+"""
+
+import json
+import math
+import os
+import socket
+import struct
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.gyro_faults import GyroState, GyroStatus
 from emoflow_ros.core.twist import Twist
 from emoflow_ros.core.windows import Window
-from emoflow_ros.node.channel import Arrays
+
+type Arrays = dict[str, NDArray[Any]]
+
+
+class Picture(StrEnum):
+    """A picture of a window, by its topic."""
+
+    FLOW = "flow/image"
+    COLOR = "flow/color"
+    EVENTS = "flow/iwe"
+    TRACKS = "flow/tracks"
 
 
 @dataclass(frozen=True)
@@ -40,13 +69,13 @@ class Task:
 
 @dataclass(frozen=True)
 class Wishes:
-    """What results hold besides the estimate.
+    """What a result is to hold besides the estimate.
 
     Attributes:
-        pictures: those of `pictures.Picture` that somebody subscribes to.
+        pictures: those of `Picture` that somebody subscribes to.
         flow_color_max: flow in full colour, px/s; 0 takes the picture's 99th percentile.
-        flow_stride: of the flow's picture every so many-th pixel and row.
-        tracks: points that the tracks among the pictures follow.
+        flow_stride: 2 keeps every second pixel and row of the flow's picture, 1 all.
+        tracks: number of points that the picture of tracks follows.
         twist_rate: twists per second of event time; 0: one per window.
     """
 
@@ -69,7 +98,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Result:
-    """A task's answer: the estimate without its samplers, and what was wished for.
+    """The answer to a task: the estimate without its samplers, and what was wished for.
 
     Attributes:
         task: what was asked.
@@ -91,7 +120,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Loss:
-    """A window that has no result, and maybe its worker with it.
+    """A window without a result, or a worker that was lost, or both.
 
     Attributes:
         reason: one line.
@@ -114,3 +143,153 @@ class Notice:
 
 
 type Outcome = Result | Loss | Notice
+
+
+class DropOldestQueue[T]:
+    """Hand items from one thread to another without ever blocking the one that puts.
+
+    Args:
+        capacity: items kept; one more drops the oldest. Items that come together are all kept.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._items: deque[T] = deque()
+        self._changed = threading.Condition()
+        self.dropped = 0
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def put(self, items: Sequence[T]) -> list[T]:
+        """Append items; return, and count as `dropped`, those that had to make room."""
+        with self._changed:
+            self._items.extend(items)
+            excess = len(self._items) - max(self._capacity, len(items))
+            oldest = [self._items.popleft() for _ in range(excess)]
+            self.dropped += len(oldest)
+            self._changed.notify()
+        return oldest
+
+    def get(self, timeout: float) -> T | None:
+        """Remove the oldest item, or return None when none came within `timeout` seconds."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._items, timeout):
+                return None
+            return self._items.popleft()
+
+    def clear(self) -> int:
+        """Forget all items, which do not count as dropped, and return how many they were."""
+        with self._changed:
+            count = len(self._items)
+            self._items.clear()
+        return count
+
+
+class Channel:
+    """One end of a connection between two processes. Not safe for several threads.
+
+    Args:
+        connection: of `multiprocessing.Pipe`, duplex.
+        stall_s: the other end may stop for this long within a message; None: for ever.
+    """
+
+    def __init__(self, connection: Connection, stall_s: float | None = None) -> None:
+        self._connection = connection
+        if stall_s is not None:
+            _bound_transfers(connection, stall_s)
+
+    def send(self, header: Mapping[str, Any], arrays: Arrays) -> None:
+        """Send a message.
+
+        Raises:
+            TimeoutError: the other end does not read.
+            OSError: the other end is gone.
+        """
+        layout = [(name, a.dtype.str, a.shape) for name, a in arrays.items()]
+        try:
+            self._connection.send_bytes(json.dumps([header, layout]).encode())
+            for array in arrays.values():
+                self._connection.send_bytes(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
+        except BlockingIOError:
+            raise TimeoutError("a message is not read") from None
+
+    def receive(self, timeout_s: float | None = None) -> tuple[dict[str, Any], Arrays]:
+        """Wait for a message. Its arrays are writable and belong to the caller.
+
+        Args:
+            timeout_s: how long to wait for its start; None: for ever.
+
+        Raises:
+            TimeoutError: no message, or no more of it.
+            EOFError, OSError: the other end is gone.
+        """
+        if timeout_s is not None and not self._connection.poll(timeout_s):
+            raise TimeoutError(f"no message in {timeout_s:g} s")
+        try:
+            return self._receive()
+        except BlockingIOError:
+            raise TimeoutError("a message is not finished") from None
+
+    def _receive(self) -> tuple[dict[str, Any], Arrays]:
+        header, layout = json.loads(self._connection.recv_bytes())
+        arrays: Arrays = {}
+        for name, dtype, shape in layout:
+            array = np.empty(shape, dtype)
+            self._connection.recv_bytes_into(array.reshape(-1).view(np.uint8))
+            arrays[name] = array
+        return header, arrays
+
+    def close(self) -> None:
+        """Close this end."""
+        self._connection.close()
+
+
+def _bound_transfers(connection: Connection, seconds: float) -> None:
+    """Let every read and write of a connection, which is a pair of sockets, end after a time."""
+    fraction, whole = math.modf(seconds)
+    timeval = struct.pack("@ll", int(whole), round(fraction * 1e6))
+    with socket.socket(fileno=os.dup(connection.fileno())) as end:
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+            end.setsockopt(socket.SOL_SOCKET, option, timeval)
+
+
+def pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Arrays]:
+    """Turn an estimate, without its samplers, and its twists into plain data."""
+    header = {
+        "t_start": estimate.t_start,
+        "t_end": estimate.t_end,
+        "t": estimate.t,
+        "status": estimate.status,
+        "model": estimate.model,
+        "quality": asdict(estimate.quality),
+        "gyro": [estimate.gyro.state, estimate.gyro.reason],
+        "times": [twist.t for twist in twists],
+    }
+    arrays: Arrays = {
+        "linear": np.asarray(estimate.linear, np.float64),
+        "angular": np.asarray(estimate.angular, np.float64),
+        "covariance": np.asarray(estimate.covariance, np.float64),
+        "twists": np.array([(*w.linear, *w.angular) for w in twists], np.float64).reshape(-1, 6),
+    }
+    return header, arrays
+
+
+def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
+    """Build the result of a task from its answer; arrays that `pack` does not make are pictures."""
+    state, reason = header["gyro"]
+    estimate = Estimate(
+        t_start=header["t_start"],
+        t_end=header["t_end"],
+        t=header["t"],
+        status=Status(header["status"]),
+        model=MotionModel(header["model"]),
+        quality=Quality(**header["quality"]),
+        gyro=GyroStatus(GyroState(state), reason),
+        linear=arrays.pop("linear"),
+        angular=arrays.pop("angular"),
+        covariance=arrays.pop("covariance"),
+    )
+    rows = zip(header["times"], arrays.pop("twists"), strict=True)
+    twists = tuple(Twist(t, row[:3], row[3:]) for t, row in rows)
+    return Result(task, estimate, twists, pictures=arrays)

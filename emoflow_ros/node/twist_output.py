@@ -1,25 +1,45 @@
-"""The egomotion's topics: twists at the scale and in the frame that were asked for."""
+"""The egomotion's topics: twists, at the scale and in the frame that were asked for."""
 
+import math
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs import msg
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped, Vector3
+from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from std_msgs.msg import Header
 
+from emoflow_ros.core.speed import SpeedLog
 from emoflow_ros.core.twist import Twist, at_middle, covariance_at_speed, covariance_in_frame
-from emoflow_ros.node import converters
-from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.settings import OutputOptions, ScaleOptions
 from emoflow_ros.node.target_frame import Matrix, make_target_frame
 from emoflow_ros.node.tasks import Result
+from emoflow_ros.node.topic_search import import_message_type
+
+# Reads the velocity from each type of message: a vector or a number, in m/s.
+SPEED_TYPES: dict[str, Callable[[Any], Vector3 | float]] = {
+    "nav_msgs/msg/Odometry": lambda message: message.twist.twist.linear,
+    "geometry_msgs/msg/TwistStamped": lambda message: message.twist.linear,
+    "std_msgs/msg/Float64": lambda message: message.data,
+}
 
 _DEPTH = 10
-
-
-def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
-    """Make a publisher that publishes while the node is active; `made` gets what takes it away."""
-    publisher = node.create_lifecycle_publisher(message_type, topic, _DEPTH)
-    made.callback(node.destroy_lifecycle_publisher, publisher)
-    return publisher
+_SPEED_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+_LOOK_S = 0.2
 
 
 class TwistOutput:
@@ -28,7 +48,7 @@ class TwistOutput:
     Args:
         node: to publish with.
         options: in which frame.
-        made: gets what takes the topics away.
+        made: gets the calls that take the topics away.
 
     Raises:
         InputError: tf is asked for and not installed.
@@ -59,14 +79,192 @@ class TwistOutput:
         stamp = task.to_ros(twist.t)
         if (task.epoch, stamp) > self._last:
             self._last = (task.epoch, stamp)
-            header = converters.to_header(stamp, self._frame.name(task.frame_id))
-            self._twist.publish(converters.to_twist(twist, header))
+            header = to_header(stamp, self._frame.name(task.frame_id))
+            self._twist.publish(to_twist(twist, header))
 
     def _publish_with_covariance(self, result: Result, factor: float, rotation: Matrix) -> None:
         middle = at_middle(result.estimate).at_speed(factor).in_frame(rotation)
         covariance = covariance_at_speed(result.estimate.covariance, factor)
         covariance = covariance_in_frame(covariance, rotation)
-        header = converters.to_header(result.stamp, self._frame.name(result.task.frame_id))
-        self._with_covariance.publish(
-            converters.to_twist_with_covariance(middle, covariance, header)
+        header = to_header(result.stamp, self._frame.name(result.task.frame_id))
+        self._with_covariance.publish(to_twist_with_covariance(middle, covariance, header))
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """The scale of one window.
+
+    Attributes:
+        factor: of the unit direction: a speed in m/s, or 1.
+        source: where it comes from, as `scale.source` names it.
+        problem: why it is not what was asked for; empty if it is.
+    """
+
+    factor: float = 1.0
+    source: str = "none"
+    problem: str = ""
+
+
+class Scale:
+    """The scale at the time of a window, from nowhere, a parameter or a topic.
+
+    Args:
+        node: listens to the topic, if there is one.
+        options: where the scale comes from.
+    """
+
+    def __init__(self, node: Node, options: ScaleOptions) -> None:
+        self._node = node
+        self._options = options
+        self._input: SpeedInput | None = None
+        self.set_options(options)
+
+    def set_options(self, options: ScaleOptions) -> None:
+        """Take the scale from where these options say from now on."""
+        topic = options.topic if options.source == "topic" else None
+        if self._input is not None and self._input.topic != topic:
+            self.close()
+        if self._input is None and topic is not None:
+            self._input = SpeedInput(self._node, topic)
+        self._options = options
+
+    def at(self, stamp: int) -> Scaling:
+        """Return the scale at this ROS time (ns): none where the topic's speed is too old."""
+        options = self._options
+        if options.source == "parameter":
+            return Scaling(options.speed, "parameter")
+        if self._input is None:
+            return Scaling()
+        speed = self._input.log.at(stamp, round(options.max_age_s * NS_PER_S))
+        if speed is None:
+            reason = self._input.problem or (
+                f"no speed on {self._input.topic} within {options.max_age_s:g} s of the window"
+            )
+            return Scaling(problem=f"{reason}; linear is a unit direction")
+        return Scaling(speed, "topic")
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._input is not None:
+            self._input.close()
+            self._input = None
+
+
+class SpeedInput:
+    """Looks for a topic until somebody publishes it, then keeps the speeds that it carries.
+
+    A message without a stamp counts from its arrival. Speeds that are not finite are left out.
+
+    Args:
+        node: to subscribe with.
+        topic: its name.
+
+    Attributes:
+        topic: its name, as given.
+        log: the speeds by ROS time.
+        problem: why there is no subscription yet; empty if there is one.
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self.topic = topic
+        self.log = SpeedLog()
+        self.problem = ""
+        self._node = node
+        self._subscription: Subscription | None = None
+        self._timer = node.create_timer(
+            _LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+        self._look()
+
+    def close(self) -> None:
+        """Unsubscribe, or look no longer."""
+        self._node.destroy_timer(self._timer)
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+
+    def _look(self) -> None:
+        name = self._node.resolve_topic_name(self.topic)
+        types = [p.topic_type for p in self._node.get_publishers_info_by_topic(name)]
+        if not types:
+            self.problem = f"nobody publishes {name}"
+            return
+        if types[0] not in SPEED_TYPES:
+            known = ", ".join(SPEED_TYPES)
+            self.problem = f"{name}: {types[0]} holds no speed, give a topic of one of {known}"
+            return
+        try:
+            message_type = import_message_type(types[0])
+        except InputError as error:
+            self.problem = str(error)
+            return
+        self.problem = ""
+        self._node.destroy_timer(self._timer)
+        self._subscription = self._node.create_subscription(
+            message_type,
+            name,
+            partial(self._take, ros_type=types[0]),
+            _SPEED_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _take(self, message: Any, ros_type: str) -> None:
+        stamp, speed = to_speed(message, ros_type)
+        if stamp is None:
+            stamp = self._node.get_clock().now().nanoseconds
+        if math.isfinite(speed):
+            self.log.add(stamp, speed)
+
+
+def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
+    """Make a publisher that works while the node is active; `made` gets what destroys it."""
+    publisher = node.create_lifecycle_publisher(message_type, topic, _DEPTH)
+    made.callback(node.destroy_lifecycle_publisher, publisher)
+    return publisher
+
+
+def to_header(stamp: int, frame_id: str) -> Header:
+    """Build a header from ROS time in ns."""
+    sec, nanosec = divmod(stamp, NS_PER_S)
+    return Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
+
+
+def to_twist(twist: Twist, header: Header) -> TwistStamped:
+    """Build the twist; the angular velocity is in rad/s."""
+    return TwistStamped(header=header, twist=_twist(twist))
+
+
+def to_twist_with_covariance(
+    twist: Twist, covariance: NDArray[np.float64], header: Header
+) -> TwistWithCovarianceStamped:
+    """Build the twist with its covariance, row-major over (linear, angular).
+
+    covariance[0] is -1 where translation is not observable.
+    """
+    message = TwistWithCovarianceStamped(header=header)
+    message.twist.twist = _twist(twist)
+    message.twist.covariance = np.asarray(covariance, np.float64).ravel()
+    return message
+
+
+def to_speed(message: Any, ros_type: str) -> tuple[int | None, float]:
+    """Read the time of a message, ROS time in ns or None without a stamp, and its speed in m/s.
+
+    Args:
+        message: of one of SPEED_TYPES.
+        ros_type: which one.
+    """
+    velocity = SPEED_TYPES[ros_type](message)
+    if isinstance(velocity, float):
+        return None, abs(velocity)
+    stamp = message.header.stamp
+    speed = math.hypot(velocity.x, velocity.y, velocity.z)
+    return stamp.sec * NS_PER_S + stamp.nanosec or None, speed
+
+
+def _twist(twist: Twist) -> msg.Twist:
+    return msg.Twist(linear=_vector(twist.linear), angular=_vector(twist.angular))
+
+
+def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector3:
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)

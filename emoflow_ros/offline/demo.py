@@ -27,7 +27,7 @@ from rclpy.utilities import try_shutdown
 from emoflow_ros.cli import run
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import import_message_type
+from emoflow_ros.node.topic_search import import_message_type
 from emoflow_ros.offline.estimates import Estimates, read_estimates
 from emoflow_ros.offline.metrics import angle_deg
 from emoflow_ros.offline.readers import open_recording

@@ -23,8 +23,8 @@ from tqdm import tqdm
 from emoflow_ros.cli import run
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import import_message_type
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
+from emoflow_ros.node.topic_search import import_message_type
 from emoflow_ros.offline.conversion import Ros1Converter
 from emoflow_ros.offline.pace import Pace
 from emoflow_ros.offline.readers.bag import open_bag, read_messages

@@ -25,7 +25,7 @@ from sensor_msgs.msg import Image
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
-from emoflow_ros.node.memory import resident_mb
+from emoflow_ros.node.diagnostics import resident_mb
 
 STEP_MS = 5  # between two messages, of 5 events each
 SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from harness import ROOT, Peer, Processes
 
-from emoflow_ros.node.discovery import import_message_type
+from emoflow_ros.node.topic_search import import_message_type
 
 pytestmark = pytest.mark.dds
 

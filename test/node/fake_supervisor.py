@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from emoflow_ros.node import pipeline
-from emoflow_ros.node.queue import DropOldestQueue
-from emoflow_ros.node.tasks import Job, Outcome
+from emoflow_ros.node.tasks import DropOldestQueue, Job, Outcome
 
 
 class FakeSupervisor:

@@ -7,9 +7,9 @@ pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_
 
 from graph import DVS, Graph
 
-from emoflow_ros.node.discovery import SETTLING_S, EventTopic, TopicSearch
+from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.event_source import Callbacks, EventSource
-from emoflow_ros.node.statistics import Level, Statistics
+from emoflow_ros.node.topic_search import SETTLING_S, EventTopic, TopicSearch
 
 ONE, TWO, ASKED = "/one/events", "/two/events", "/events"
 

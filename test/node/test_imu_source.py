@@ -22,12 +22,11 @@ from emoflow_ros.core.gyro_faults import GyroState, GyroStatus
 from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.windows import Window, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.answer import pack, unpack
-from emoflow_ros.node.discovery import EventTopic
-from emoflow_ros.node.parameters import NodeOptions, Settings
+from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.pipeline import Pipeline
-from emoflow_ros.node.statistics import Level
-from emoflow_ros.node.tasks import Job, Result, Task
+from emoflow_ros.node.settings import NodeOptions, Settings
+from emoflow_ros.node.tasks import Job, Result, Task, pack, unpack
+from emoflow_ros.node.topic_search import EventTopic
 from emoflow_ros.simulation.messages import ImuSample, MessageEncoder
 
 MS = 1_000_000

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from emoflow_ros.core.config import load_config
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.parameters import NodeOptions, Settings
+from emoflow_ros.node.settings import NodeOptions, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 

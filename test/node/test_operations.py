@@ -53,7 +53,7 @@ def test_table_lists_the_faults_that_were_asked_for() -> None:
 
 def test_help_lists_the_topics_and_what_must_be_given() -> None:
     pytest.importorskip("rclpy", reason="no ROS: run `make test`")
-    from emoflow_ros.node.estimator import parser
+    from emoflow_ros.node.executable import parser
 
     said = parser().format_help()
     section = (ROOT / "docs" / "operations.md").read_text().partition("## Topics")[2]

@@ -8,8 +8,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
+from builtin_interfaces.msg import Time
 from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image
+from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
@@ -17,14 +21,15 @@ from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.twist import at_middle
 from emoflow_ros.core.windows import Window
-from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.parameters import NodeOptions, ScaleOptions, Settings
-from emoflow_ros.node.pictures import Picture
-from emoflow_ros.node.statistics import Level, Statistics
-from emoflow_ros.node.tasks import Result, Task
+from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.outputs import Outputs, to_diagnostics, to_image, to_tracks
+from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
+from emoflow_ros.node.tasks import Picture, Result, Task
+from emoflow_ros.node.twist_output import to_header
 
 MS = 1_000_000
 CAMERA = Camera(8, 6, 5.0, 5.0, 4.0, 3.0)
+HEADER = to_header(1_500_000_000_123_456_789, "camera")
 # The optical frame in a body with x forward, y left and z up, as URDFs have it.
 BODY = {
     "output.target_frame": "base",
@@ -195,3 +200,36 @@ def test_twists_are_withheld_without_a_transform(
     b.made.close()
     assert b.node.publishers == {}
     assert tf.listening == 0
+
+
+def test_flow_image_survives_serialisation() -> None:
+    flow = np.arange(24, dtype=np.float32).reshape(3, 4, 2)
+    flow[1, 2] = np.nan
+    message = to_image(flow, "32FC2", HEADER)
+    message = deserialize_message(serialize_message(message), Image)
+    assert (message.encoding, message.height, message.width) == ("32FC2", 3, 4)
+    assert message.step == 4 * 2 * 4
+    back = np.frombuffer(message.data, "<f4").reshape(3, 4, 2)
+    np.testing.assert_array_equal(back, flow)
+
+
+def test_track_marker_survives_serialisation() -> None:
+    lines = np.float32([[[0.1, -0.2, 1.0, 0.25], [0.3, -0.2, 1.0, 0.75]]])
+    message = to_tracks(lines, HEADER)
+    message = deserialize_message(serialize_message(message), Marker)
+    assert (message.type, message.id, message.header) == (Marker.LINE_LIST, 0, HEADER)
+    points = [(p.x, p.y, p.z) for p in message.points]
+    np.testing.assert_array_equal(np.float32(points), lines[0, :, :3])
+    assert [c.a for c in message.colors] == [0.25, 0.75]
+    assert len({(c.r, c.g, c.b) for c in message.colors}) == 1
+    assert message.lifetime.sec == 2
+    assert to_tracks(np.empty((0, 2, 4), np.float32), HEADER).points == []
+
+
+def test_diagnostics_hold_level_reason_and_numbers() -> None:
+    report = Report(Level.WARN, "late", {"windows_ok": "3"})
+    message = to_diagnostics("/ns/estimator", report, Time(sec=3))
+    [status] = message.status
+    assert (status.level, status.message) == (b"\x01", "late")
+    assert [(v.key, v.value) for v in status.values] == [("windows_ok", "3")]
+    assert message.header.stamp.sec == 3

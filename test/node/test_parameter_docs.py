@@ -6,7 +6,7 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from emoflow_ros.core.config import load_config
 from emoflow_ros.node.parameter_docs import render
-from emoflow_ros.node.parameters import NodeOptions, Settings, table
+from emoflow_ros.node.settings import NodeOptions, Settings, table
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
 

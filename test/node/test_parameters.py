@@ -11,14 +11,8 @@ from rclpy.parameter import Parameter  # noqa: E402
 
 from emoflow_ros.core.config import Config, load_config  # noqa: E402
 from emoflow_ros.errors import InputError  # noqa: E402
-from emoflow_ros.node.parameters import (  # noqa: E402
-    Change,
-    NodeOptions,
-    NodeParameters,
-    Settings,
-    changes,
-    table,
-)
+from emoflow_ros.node.parameters import Change, NodeParameters, changes  # noqa: E402
+from emoflow_ros.node.settings import NodeOptions, Settings, table  # noqa: E402
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.flow_color import flow_to_rgb
 from emoflow_ros.core.windows import Window
-from emoflow_ros.node.pictures import Painter, Picture
-from emoflow_ros.node.tasks import Wishes
+from emoflow_ros.node.tasks import Picture, Wishes
+from emoflow_ros.node.worker import Painter
 
 CAMERA = Camera(64, 48, 50.0, 40.0, 32.0, 24.0)
 MS = 1_000_000

@@ -21,11 +21,13 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.twist import at_middle
-from emoflow_ros.node.discovery import EventTopic
-from emoflow_ros.node.parameters import NodeOptions, Settings
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.diagnostics import Level
+from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.pipeline import Pipeline
-from emoflow_ros.node.statistics import Level
+from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Job, Loss, Result
+from emoflow_ros.node.topic_search import EventTopic
 from emoflow_ros.simulation.messages import MessageEncoder
 
 MS = 1_000_000
@@ -278,3 +280,16 @@ def test_window_in_work_at_the_pause_is_forgotten(bench: Bench) -> None:
     bench.supervisor.outcomes.put(bench.answer(job))
     counts = bench.pipeline.report().values
     assert (counts["windows"], counts["windows_forgotten"], counts["windows_ok"]) == ("1", "1", "0")
+
+
+def test_camera_info_becomes_the_camera() -> None:
+    info = CameraInfo(width=64, height=48, distortion_model="plumb_bob")
+    info.k = [50.0, 0.0, 32.0, 0.0, 51.0, 24.0, 0.0, 0.0, 1.0]
+    info.d = [0.1, 0.2, 0.0, 0.0, 0.0]
+    camera = to_camera(info)
+    assert camera == Camera(64, 48, 50.0, 51.0, 32.0, 24.0, "plumb_bob", (0.1, 0.2, 0.0, 0.0, 0.0))
+
+
+def test_uncalibrated_camera_info_is_refused() -> None:
+    with pytest.raises(InputError, match="focal lengths"):
+        to_camera(CameraInfo(width=64, height=48))

@@ -12,9 +12,8 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.config import load_config
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import calibration_path as module
-from emoflow_ros.node.calibration_path import calibration_path
-from emoflow_ros.node.parameters import NodeOptions, Settings
+from emoflow_ros.node import settings as module
+from emoflow_ros.node.settings import NodeOptions, Settings, calibration_path
 
 ROOT = Path(__file__).resolve().parents[2]
 SENSORS = {"mvsec": 45.0, "dsec": 45.0, "davis240": 45.0, "evk4": 90.0}  # stride in ms

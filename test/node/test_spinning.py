@@ -12,7 +12,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from emoflow_ros.node.estimator import spin_until_asked
+from emoflow_ros.node.estimator_node import spin_until_asked
 
 CALLBACKS = 500
 

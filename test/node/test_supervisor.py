@@ -12,8 +12,7 @@ from supervisor_bench import CAMERA, Bench
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.flow_color import flow_to_rgb
-from emoflow_ros.node.pictures import Picture
-from emoflow_ros.node.tasks import Loss, Wishes
+from emoflow_ros.node.tasks import Loss, Picture, Wishes
 
 
 def test_windows_go_through_the_worker_unchanged(bench: Callable[..., Bench]) -> None:

@@ -8,7 +8,7 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from fake_node import install_fake_tf
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.parameters import OutputOptions
+from emoflow_ros.node.settings import OutputOptions
 from emoflow_ros.node.target_frame import NoTransformError, make_target_frame
 
 OPTICAL_IN_BODY = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]

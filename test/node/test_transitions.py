@@ -16,9 +16,9 @@ from rclpy.lifecycle import LifecyclePublisher, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import estimator_node, event_source, outputs, pipeline, transition
+from emoflow_ros.node import estimator_node, event_source, outputs, pipeline
 from emoflow_ros.node.estimator_node import EstimatorNode
-from emoflow_ros.node.queue import DropOldestQueue
+from emoflow_ros.node.tasks import DropOldestQueue
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
@@ -294,5 +294,7 @@ def test_failed_transition_is_answered(bench: Bench, monkeypatch: pytest.MonkeyP
 def test_transitions_are_those_of_the_node() -> None:
     """No callback of the lifecycle is left to rclpy, which would say nothing of a failure."""
     for name in ("configure", "activate", "deactivate", "cleanup", "shutdown"):
-        assert getattr(EstimatorNode, f"on_{name}").__module__ == transition.__name__
+        callback = getattr(EstimatorNode, f"on_{name}")
+        assert callback.__module__ == estimator_node.__name__
+        assert callback.__qualname__.startswith(f"{estimator_node.transition.__name__}.")
     assert EstimatorNode.on_error.__module__ == estimator_node.__name__

@@ -17,8 +17,7 @@ from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import supervisor
-from emoflow_ros.node.channel import Channel
-from emoflow_ros.node.tasks import Wishes
+from emoflow_ros.node.tasks import Channel, Wishes
 
 ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
 

@@ -1,4 +1,4 @@
-"""What the node counts, and the verdict that its diagnostics give."""
+"""The numbers that the node counts, and the verdict on the node that its diagnostics give."""
 
 import os
 import time
@@ -6,12 +6,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.event_count import DistinctEvents
-from emoflow_ros.node.memory import resident_mb
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200
@@ -34,8 +34,8 @@ _ALSO_COUNTED = (
     *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
     *("windows", "windows_forgotten"),
 )
-# Parts that have problems, first those whose problems cost most. Of the latter whatever else is as
-# bad costs more: there are estimates nevertheless.
+# Parts of the node that can have problems, the costliest first. With a problem of a mild part there
+# are still estimates, so all other reasons of the same level come before it.
 _PARTS = ("worker", "input", "qos", "camera", "frame")
 _MILD = ("gyro", "scale", "device")
 
@@ -108,9 +108,9 @@ class Statistics:
         self._last_result = result
 
     def add_dropped(self, task: Task, reason: str) -> None:
-        """Count a window that had to make room for newer ones, and its events.
+        """Count a window that was dropped for this reason, and its events.
 
-        Events that another dropped window held, too, are counted once.
+        Events that another dropped window also held are counted once.
         """
         if task.epoch != self._dropped_epoch:
             self._dropped_epoch = task.epoch
@@ -174,7 +174,7 @@ class Statistics:
     def _reasons(
         self, now: float, recent: Counter[str], silence_s: float
     ) -> Iterator[tuple[Level, str]]:
-        """Say what holds, first what costs most."""
+        """Yield the reasons that hold, the costliest first."""
         yield from (self.problems[part] for part in _PARTS if part in self.problems)
         if recent["internal_errors"]:
             yield (
@@ -221,8 +221,17 @@ class Statistics:
         return values
 
 
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process in MiB, 0 if it is gone (Linux's proc(5), statm)."""
+    try:
+        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+    except (OSError, IndexError):
+        return 0.0
+    return int(pages) * os.sysconf("SC_PAGESIZE") / 2**20
+
+
 def _without_estimates(recent: Counter[str]) -> Iterator[tuple[Level, str]]:
-    """Say why all windows were estimated in vain."""
+    """Say why no window gave an estimate."""
     few, still = (recent[f"windows_{s}"] for s in (Status.TOO_FEW_EVENTS, Status.NO_MOTION))
     if recent[f"windows_{Status.OK}"]:
         return

@@ -1,16 +1,33 @@
-"""The node's own options, typed, with unit, range and meaning; the estimation's are in `Config`."""
+"""All parameters as typed options with unit, range and meaning.
+
+The node's own options are here, those of the estimation in `core.config`; `Settings` holds both.
+"""
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.options import option
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.options import (
+    OptionInfo,
+    option,
+    options_of,
+    replace_options,
+    unknown_option,
+)
 from emoflow_ros.errors import InputError
 from msg_adapters import supported_types
+
+_PACKAGE = "package://"
+_FILE = "file://"
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,7 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """How the node answers."""
+    """What the node publishes, and how."""
 
     timeout_s: float = option(
         10.0,
@@ -183,3 +200,54 @@ class NodeOptions:
     camera: CameraOptions = field(default_factory=CameraOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
     scale: ScaleOptions = field(default_factory=ScaleOptions)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The values of all parameters."""
+
+    node: NodeOptions
+    config: Config
+
+    def changed(self, values: Mapping[str, Any]) -> "Settings":
+        """Return a copy with the parameters of these names changed.
+
+        Raises:
+            InputError: an unknown name, or a value of the wrong type or range.
+        """
+        own = [o.name for o in options_of(self.node)]
+        config = [o.name for o in options_of(self.config)]
+        if unknown := [n for n in values if n not in own and n not in config]:
+            raise unknown_option(unknown[0], [*own, *config])
+        return Settings(
+            replace_options(self.node, {n: v for n, v in values.items() if n in own}),
+            replace_options(self.config, {n: v for n, v in values.items() if n not in own}),
+        )
+
+
+def table(settings: Settings) -> Iterable[OptionInfo]:
+    """List all parameters."""
+    yield from options_of(settings.node)
+    yield from options_of(settings.config)
+
+
+def calibration_path(url: str) -> Path:
+    """Find the file of `package://PACKAGE/PATH`, `file://PATH` or a plain path.
+
+    The forms are those of camera_info_manager.
+
+    Raises:
+        InputError: the package is not installed, or the URL leaves its folder.
+    """
+    if not url.startswith(_PACKAGE):
+        return Path(url.removeprefix(_FILE))
+    package, _, path = url.removeprefix(_PACKAGE).partition("/")
+    try:
+        share = Path(get_package_share_directory(package))
+    except (PackageNotFoundError, ValueError):
+        raise InputError(
+            url, f"the package {package} is not installed", "install it, or give a path"
+        ) from None
+    if ".." in Path(path).parts:
+        raise InputError(url, "leaves the package's folder", "give a path without '..'")
+    return share / path

@@ -7,7 +7,7 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from graph import CLOUD, DVS, Graph
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.discovery import (
+from emoflow_ros.node.topic_search import (
     SETTLING_S,
     EventTopic,
     TopicSearch,
@@ -41,7 +41,7 @@ def test_events_count_before_other_event_topics_and_at_once() -> None:
 def test_only_event_topic_is_taken() -> None:
     found = find({"/cam/events": DVS, "/imu": "sensor_msgs/msg/Imu"})
     assert found == EventTopic("/cam/events", DVS)
-    assert found.camera_info == "/cam/camera_info"
+    assert found.beside("camera_info") == "/cam/camera_info"
 
 
 def test_only_event_topic_is_taken_when_the_graph_has_settled() -> None:

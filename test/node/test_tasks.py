@@ -1,7 +1,7 @@
 import threading
 import time
 
-from emoflow_ros.node.queue import DropOldestQueue
+from emoflow_ros.node.tasks import DropOldestQueue
 
 
 def test_full_queue_drops_the_oldest_and_counts() -> None:

@@ -1,26 +1,37 @@
-"""The scale of a window, from parameters and over DDS from every type of speed message."""
+"""Twist messages, and their scale: from parameters, and over DDS from all speed messages."""
 
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 import rclpy
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64, String
 
-from emoflow_ros.node.parameters import ScaleOptions
-from emoflow_ros.node.scale import Scale, Scaling
+from emoflow_ros.core.twist import Twist
+from emoflow_ros.node.settings import ScaleOptions
+from emoflow_ros.node.twist_output import (
+    Scale,
+    Scaling,
+    to_header,
+    to_speed,
+    to_twist,
+    to_twist_with_covariance,
+)
 
 NS = 1_000_000_000
 WAIT_S = 10.0
 TOPIC = ScaleOptions(source="topic", topic="speed", max_age_s=0.5)
+HEADER = to_header(1_500_000_000_123_456_789, "camera")
 
 
 class Peers:
@@ -67,6 +78,44 @@ def twist(sec: int, x: float, y: float, z: float) -> TwistStamped:
     message.header.stamp.sec = sec
     message.twist.linear.x, message.twist.linear.y, message.twist.linear.z = x, y, z
     return message
+
+
+@pytest.fixture
+def rotation() -> Twist:
+    return Twist(
+        t=5,
+        linear=np.zeros(3),
+        angular=np.array([0.1, -0.2, 0.3]),
+    )
+
+
+def test_header_splits_nanoseconds() -> None:
+    assert (HEADER.stamp.sec, HEADER.stamp.nanosec) == (1_500_000_000, 123_456_789)
+    assert to_header(-1, "").stamp == Time(sec=-1, nanosec=999_999_999)
+
+
+def test_twist_of_a_rotation_has_no_direction(rotation: Twist) -> None:
+    message = to_twist(rotation, HEADER)
+    assert (message.twist.linear.x, message.twist.linear.y, message.twist.linear.z) == (0, 0, 0)
+    assert message.twist.angular.y == -0.2
+    assert message.header == HEADER
+
+
+def test_covariance_says_that_translation_is_not_observable(rotation: Twist) -> None:
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = -1
+    message = to_twist_with_covariance(rotation, covariance, HEADER)
+    assert message.twist.covariance[0] == -1
+    np.testing.assert_array_equal(message.twist.covariance[1:], 0)
+
+
+def test_speed_of_a_message_without_a_stamp_has_no_time() -> None:
+    message = TwistStamped()
+    message.twist.linear.x, message.twist.linear.z = -3.0, 4.0
+    assert to_speed(message, "geometry_msgs/msg/TwistStamped") == (None, 5.0)
+    message.header.stamp = Time(sec=2, nanosec=5)
+    assert to_speed(message, "geometry_msgs/msg/TwistStamped") == (2_000_000_005, 5.0)
+    assert to_speed(Float64(data=-2.0), "std_msgs/msg/Float64") == (None, 2.0)
 
 
 def test_scale_from_parameters_needs_no_topic() -> None:

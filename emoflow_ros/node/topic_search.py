@@ -1,4 +1,4 @@
-"""Which topic carries the events, and of which type: read from the graph, never guessed."""
+"""The names and types of the topics that the node listens to, found in the ROS graph."""
 
 import importlib
 import time
@@ -11,10 +11,10 @@ from rclpy.node import Node
 from emoflow_ros.errors import InputError
 from msg_adapters import supported_types
 
-# The graph is discovered piece by piece: this long without a change it counts as known.
+# The graph is discovered piece by piece. After this long without a change it counts as known.
 SETTLING_S = 1.0
 
-# Lidars publish these, too: only a topic that was asked for is taken for an event stream.
+# Lidars publish this type, too. Such a topic is taken only if the user names it.
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
 
@@ -25,10 +25,9 @@ class EventTopic:
     name: str
     type: str
 
-    @property
-    def camera_info(self) -> str:
-        """The camera_info topic beside it."""
-        return f"{self.name.rpartition('/')[0]}/camera_info"
+    def beside(self, name: str) -> str:
+        """Name a topic in the same namespace."""
+        return f"{self.name.rpartition('/')[0]}/{name}"
 
 
 class TopicSearch:
@@ -90,7 +89,7 @@ class TopicSearch:
         return min(found)
 
     def others(self, taken: EventTopic) -> list[str]:
-        """Name the event topics besides the one that was taken, all of which could be taken."""
+        """Name the other event topics that could be taken instead of this one."""
         return sorted(topic.name for topic in self._inside(self._published()) - {taken})
 
     def has_own(self) -> bool:
@@ -98,7 +97,7 @@ class TopicSearch:
         return self.name in self._published()
 
     def waiting(self) -> str:
-        """Say, after a look in vain, what is waited for, and which other topics could be chosen."""
+        """After a look that found none, say what is waited for and which topics could be chosen."""
         if self._found:
             return (
                 f"waiting for events: {min(self._found).name} is taken as soon as it has been the "
@@ -131,6 +130,14 @@ class TopicSearch:
             if (name == self.name or types[0] in supported_types())
             and self._node.count_publishers(name)
         }
+
+
+def topic_beside(node: Node, topic: EventTopic, name: str) -> str:
+    """Name the topic of an input: `name` as remapped, or else the one beside the events."""
+    resolved: str = node.resolve_topic_name(name)
+    if resolved != node.resolve_topic_name(name, only_expand=True):
+        return resolved
+    return topic.beside(name)
 
 
 def import_message_type(ros_type: str) -> Any:

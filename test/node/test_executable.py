@@ -10,14 +10,14 @@ import pytest
 
 IMPORTING = """
 import time
-from emoflow_ros.node.ending import Ending
+from emoflow_ros.node.executable import Ending
 ending = Ending()
 print("now", flush=True)
 time.sleep(60)
 """
 STARTING = """
 import threading, time
-from emoflow_ros.node.ending import Ending
+from emoflow_ros.node.executable import Ending
 ending, end = Ending(), threading.Event()
 ending.imported()
 print("now", flush=True)
@@ -27,7 +27,7 @@ print("ended in order", end.wait(60))
 """
 RUNNING = """
 import threading
-from emoflow_ros.node.ending import Ending
+from emoflow_ros.node.executable import Ending
 ending, end = Ending(), threading.Event()
 ending.imported()
 ending.in_order(end.set)
@@ -36,7 +36,7 @@ print("ended in order", end.wait(60))
 """
 HANGING = """
 import multiprocessing, time
-import emoflow_ros.node.ending as module
+import emoflow_ros.node.executable as module
 module._GRACE_S = 0.2
 ending = module.Ending()
 ending.imported()
