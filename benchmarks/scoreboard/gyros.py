@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.offline.readers.imu import Imu
 from emoflow_ros.offline.truth.poses import PoseTrack
+from emoflow_ros.readers.recording import Imu
 from emoflow_ros.simulation.imu import ImuModel, measure_rotation, reading_times
 from emoflow_ros.simulation.truth import GroundTruth
 

@@ -16,8 +16,8 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Slicer
 from emoflow_ros.offline.evaluation import Evaluation, evaluate
 from emoflow_ros.offline.html import format_number
-from emoflow_ros.offline.readers import Recording
 from emoflow_ros.offline.summary import summarise
+from emoflow_ros.readers import Recording
 
 _Overrides = dict[str, Any]
 

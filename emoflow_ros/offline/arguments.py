@@ -9,9 +9,9 @@ from typing import Any
 import yaml
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import Recording, open_recording
-from emoflow_ros.offline.readers.bag import BagRecording
 from emoflow_ros.offline.sequences import Sequence
+from emoflow_ros.readers import Recording, open_recording
+from emoflow_ros.readers.bag import BagRecording
 
 _MOST = "window.max_displacement_px"
 

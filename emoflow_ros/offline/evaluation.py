@@ -19,10 +19,10 @@ from emoflow_ros.offline.clips import compared_part
 from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.gallery import Gallery
 from emoflow_ros.offline.published import Published
-from emoflow_ros.offline.readers import Recording, require_camera
 from emoflow_ros.offline.results import WindowResult, assess
 from emoflow_ros.offline.submission import Submission
 from emoflow_ros.offline.truth import Truth
+from emoflow_ros.readers import Recording, require_camera
 from emoflow_ros.tracebacks import keep_traceback
 
 # The total as text: tqdm drops it when a recording outlasts the length that it announced.

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.offline.readers import Recording
-from emoflow_ros.offline.readers.bag import BagRecording, deserialize, open_bag, read_messages
-from emoflow_ros.offline.readers.mvsec import MvsecRecording
+from emoflow_ros.readers import Recording
+from emoflow_ros.readers.bag import BagRecording
+from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
+from emoflow_ros.readers.mvsec import MvsecRecording
 
 _IMAGE = "sensor_msgs/msg/Image"
 _IMAGE_NAMES = ("image_raw", "image_mono")

@@ -14,8 +14,9 @@ from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import Recording
-from emoflow_ros.offline.readers.imu import Imu, read_imu_text
+from emoflow_ros.readers import Recording
+from emoflow_ros.readers.ecd import read_imu_text
+from emoflow_ros.readers.recording import Imu
 
 OFF = "off"
 _SHARE = re.compile(r": \d+ % of windows")

@@ -26,9 +26,10 @@ from emoflow_ros.offline.info_extras import (
     topic_imu,
     topic_truth,
 )
-from emoflow_ros.offline.readers import KNOWN_FORMATS, Recording, open_recording
-from emoflow_ros.offline.readers.bag import BagRecording, open_bag, read_messages, serialization
-from emoflow_ros.offline.readers.hdf5_columns import ColumnsRecording
+from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording
+from emoflow_ros.readers.bag import BagRecording
+from emoflow_ros.readers.bag_files import open_bag, read_messages, serialization
+from emoflow_ros.readers.hdf5_columns import ColumnsRecording
 from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
 
 _EPILOG = """\

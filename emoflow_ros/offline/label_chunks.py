@@ -23,7 +23,7 @@ from emoflow_ros.offline.arguments import Source
 from emoflow_ros.offline.evaluation import attempt
 from emoflow_ros.offline.intervals import Interval, IntervalSlicer
 from emoflow_ros.offline.label_file import Header, LabelWriter
-from emoflow_ros.offline.readers import Recording
+from emoflow_ros.readers import Recording
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from emoflow_ros.offline.label_chunks import Job, event_span, plan_chunks
 from emoflow_ros.offline.label_file import Header, fingerprint, merge
 from emoflow_ros.offline.label_workers import Run
 from emoflow_ros.offline.provenance import versions
-from emoflow_ros.offline.readers import Recording, require_camera
+from emoflow_ros.readers import Recording, require_camera
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,11 @@ from emoflow_ros.offline.intervals import (
     with_lead_in,
 )
 from emoflow_ros.offline.published import PUBLISHED, Published
-from emoflow_ros.offline.readers import Recording
-from emoflow_ros.offline.readers.dsec import DsecRecording
-from emoflow_ros.offline.readers.dsec_folder import DsecFolder
 from emoflow_ros.offline.sequences import DSEC_CLIP, MVSEC_CLIP, Sequence
 from emoflow_ros.offline.truth import DsecFlow, FlowSource, PropagatedFlow, TrueFlow, Truth
 from emoflow_ros.offline.truth.dsec import DsecInterval, read_test_intervals
+from emoflow_ros.readers import Recording
+from emoflow_ros.readers.dsec import DsecFolder, DsecRecording
 
 WINDOWS = "windows"
 DSEC = "dsec"

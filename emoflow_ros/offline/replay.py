@@ -27,7 +27,7 @@ from emoflow_ros.node.discovery import import_message_type
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.offline.conversion import Ros1Converter
 from emoflow_ros.offline.pace import Pace
-from emoflow_ros.offline.readers.bag import open_bag, read_messages
+from emoflow_ros.readers.bag_files import open_bag, read_messages
 from msg_adapters import supported_types
 
 _EPILOG = """\

@@ -10,8 +10,8 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import proceed
-from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.truth import Truth
+from emoflow_ros.readers import open_recording
 
 CAMERA = Camera(240, 180, 20.0, 20.0, 16.0, 12.0)
 
@@ -72,7 +72,7 @@ def test_continued_run_equals_an_uninterrupted_one(
     folder, tmp_path, monkeypatch, period, chunk_bytes
 ):
     """Whether every window was saved, or only a few at the start: nothing lost, nothing twice."""
-    monkeypatch.setattr("emoflow_ros.offline.readers.ecd._CHUNK_BYTES", chunk_bytes)
+    monkeypatch.setattr("emoflow_ros.readers.ecd._CHUNK_BYTES", chunk_bytes)
     run(folder, tmp_path / "whole.h5", new_progress())
     whole = read_estimates(tmp_path / "whole.h5").columns
     assert len(whole["t"]) == 48

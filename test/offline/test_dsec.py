@@ -15,9 +15,9 @@ from emoflow_ros.offline import evaluate
 from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.offline.flow_png import read_flow_png
 from emoflow_ros.offline.protocols import make_plan
-from emoflow_ros.offline.readers import open_recording
 from emoflow_ros.offline.truth import Truth, load_truth
 from emoflow_ros.offline.truth.dsec import DsecInterval, read_test_intervals
+from emoflow_ros.readers import open_recording
 
 START = 7 * NS_PER_S
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)

@@ -13,7 +13,7 @@ from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline import evaluate, label
 from emoflow_ros.offline.gyro_input import read_gyro, shares, with_choice
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.readers import open_recording
 
 S = 1_000_000_000
 

@@ -243,7 +243,7 @@ def test_recording_that_changed_is_not_resumed(monkeypatch, tmp_path, ecd, capsy
 
 def test_recordings_that_fail_do_not_cost_the_others(monkeypatch, tmp_path, ecd, capsys):
     """Missing; without calibration; too short; damaged where only one of its chunks sees it."""
-    monkeypatch.setattr("emoflow_ros.offline.readers.ecd._CHUNK_BYTES", 400)
+    monkeypatch.setattr("emoflow_ros.readers.ecd._CHUNK_BYTES", 400)
     times = 1 + np.arange(3000) / 1000
     times[500] = 1.2
     bad = ecd("unsorted", times=times), ecd("short", seconds=0.04), tmp_path / "none", ecd("blind")

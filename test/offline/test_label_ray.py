@@ -18,7 +18,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline import label
 from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.offline.label_workers import ray_workers
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.readers import open_recording
 
 ROOT = Path(__file__).parents[2]
 WHOLE = ("--set", "window.max_displacement_px=0", "--set", "estimator.max_doubt=1")

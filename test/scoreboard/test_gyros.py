@@ -14,9 +14,9 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.readers.imu import Imu
 from emoflow_ros.offline.truth import Truth
 from emoflow_ros.offline.truth.poses import PoseTrack
+from emoflow_ros.readers.recording import Imu
 from emoflow_ros.simulation.scenes import build_scene
 from emoflow_ros.simulation.truth import GroundTruth
 

@@ -6,10 +6,6 @@ from pathlib import Path
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import Recording, require_camera
-from emoflow_ros.offline.readers.bag import BagRecording
-from emoflow_ros.offline.readers.dsec_folder import DsecFolder
-from emoflow_ros.offline.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.offline.truth.bag import load_bag_truth
 from emoflow_ros.offline.truth.base import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
 from emoflow_ros.offline.truth.dsec import DsecFlow
@@ -19,6 +15,10 @@ from emoflow_ros.offline.truth.mvsec_hdf5 import is_mvsec_truth, load_mvsec_trut
 from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
 from emoflow_ros.offline.truth.odom_npz import SmoothedOdometry
 from emoflow_ros.offline.truth.tum import is_tum, load_poses
+from emoflow_ros.readers import Recording, require_camera
+from emoflow_ros.readers.bag import BagRecording
+from emoflow_ros.readers.dsec import DsecFolder
+from emoflow_ros.readers.hdf5_columns import ColumnsRecording
 
 __all__ = [
     "DsecFlow",

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.flow_png import read_flow_png
-from emoflow_ros.offline.readers.dsec_folder import DsecFolder
 from emoflow_ros.offline.truth.base import TrueFlow
+from emoflow_ros.readers.dsec import DsecFolder
 
 _NS_PER_US = 1000
 

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.imu import read_imu_text
-from emoflow_ros.offline.text_table import read_table
 from emoflow_ros.offline.truth.base import TrueTwist, Truth
 from emoflow_ros.offline.truth.rotation import ConstantRotation
+from emoflow_ros.readers.ecd import read_imu_text, read_table
 
 GYRO_HALF_WIDTH_S = 0.01
 

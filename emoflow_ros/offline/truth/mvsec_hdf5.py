@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.hdf5 import holds, open_hdf5, refuse
 from emoflow_ros.offline.truth.base import Truth
 from emoflow_ros.offline.truth.depth import DepthFlowMaps
 from emoflow_ros.offline.truth.flow_maps import FlowMaps, PropagatedFlow
 from emoflow_ros.offline.truth.poses import PoseTrack, PoseTwist
+from emoflow_ros.readers.hdf5 import holds, open_hdf5, refuse
 
 _GROUP = "davis/left"
 _POSE = f"{_GROUP}/pose"

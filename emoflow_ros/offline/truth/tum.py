@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.text_table import read_table, require_increasing
 from emoflow_ros.offline.truth.base import Truth
 from emoflow_ros.offline.truth.poses import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, pose_track
+from emoflow_ros.readers.ecd import read_table, require_increasing
 
 _LAYOUT = "t tx ty tz qx qy qz qw"
 _COLUMNS = 8

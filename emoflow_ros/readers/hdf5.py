@@ -1,4 +1,4 @@
-"""What the readers of HDF5 data sets share."""
+"""What the readers of HDF5 data sets share: a file is opened, and its damage is refused."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence

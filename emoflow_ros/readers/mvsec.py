@@ -10,15 +10,8 @@ from typing import Any
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import pixel_coordinates, to_ns
-from emoflow_ros.offline.readers.file_recording import FileRecording
-from emoflow_ros.offline.readers.hdf5 import (
-    CHUNK,
-    damage_refused,
-    holds,
-    open_hdf5,
-    row_before,
-)
+from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
+from emoflow_ros.readers.recording import FileRecording, pixel_coordinates, to_ns
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")

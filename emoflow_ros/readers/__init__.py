@@ -1,20 +1,22 @@
-"""Readers of recordings: one file is one format, one line here registers it."""
+"""Readers of recordings of every file format, without ROS.
+
+One file is one format; its line in `READERS` registers it.
+"""
 
 from pathlib import Path
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.aedat4 import Aedat4Recording
-from emoflow_ros.offline.readers.bag import BagRecording
-from emoflow_ros.offline.readers.base import Recording, require_camera
-from emoflow_ros.offline.readers.dsec import DsecRecording
-from emoflow_ros.offline.readers.ecd import EcdRecording
-from emoflow_ros.offline.readers.hdf5_columns import ColumnsRecording
-from emoflow_ros.offline.readers.mvsec import MvsecRecording
-from emoflow_ros.offline.readers.npz import NpzRecording
-from emoflow_ros.offline.readers.prophesee_raw import PropheseeRawRecording
+from emoflow_ros.readers.aedat4 import Aedat4Recording
+from emoflow_ros.readers.bag import BagRecording
+from emoflow_ros.readers.dsec import DsecRecording
+from emoflow_ros.readers.ecd import EcdRecording
+from emoflow_ros.readers.hdf5_columns import ColumnsRecording
+from emoflow_ros.readers.mvsec import MvsecRecording
+from emoflow_ros.readers.npz import NpzRecording
+from emoflow_ros.readers.prophesee_raw import PropheseeRawRecording
+from emoflow_ros.readers.recording import Recording, require_camera
 
 __all__ = ["KNOWN_FORMATS", "READERS", "Recording", "open_recording", "require_camera"]
-
 # The first whose `matches(path)` holds opens the recording.
 READERS = (
     BagRecording,

@@ -1,6 +1,8 @@
-"""What every reader offers, and the checks that all of them share."""
+"""What every reader offers, and the checks that all readers share."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -8,16 +10,45 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.imu import Imu
 
-# A few stray events are a sensor's glitch; more than this share is another sensor's geometry.
+# A few events outside are a sensor's glitch; more than this share tells of another sensor.
 MAX_OUTSIDE_SHARE = 0.01
 _MIN_JUDGED = 1000
 _FURTHEST_NS = 9e18
+ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Readings of one IMU.
+
+    Attributes:
+        name: the topic or the file's name.
+        t: (N,) int64 ns, in the order of the recording.
+        angular: (N, 3) rad/s.
+        acceleration: (N, 3) m/s^2, specific force; None where the IMU has no accelerometer.
+    """
+
+    name: str
+    t: NDArray[np.int64]
+    angular: NDArray[np.float64]
+    acceleration: NDArray[np.float64] | None
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def rate(self) -> float:
+        """Readings per second, by the median time between two; NaN with fewer than two."""
+        if len(self.t) < 2:
+            return float("nan")
+        step = float(np.median(np.diff(self.t)))
+        return NS_PER_S / step if step > 0 else float("nan")
 
 
 class Recording(Protocol):
@@ -82,10 +113,10 @@ def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
 
 
 def refuse_imu_topic(path: Path, topic: str | None) -> None:
-    """Refuse the IMU topic that a file is asked for.
+    """Refuse an IMU topic that is given for a recording that is no bag.
 
     Raises:
-        InputError: there is one.
+        InputError: a topic is given.
     """
     if topic is not None:
         raise InputError(path, f"not a bag: no IMU topic '{topic}'", "leave the topic out")
@@ -166,7 +197,7 @@ class StreamCheck:
         return events
 
     def finish(self) -> None:
-        """Say what the whole stream shows.
+        """Check the stream as a whole, at its end.
 
         Raises:
             InputError: no events at all, or too many outside.
@@ -203,3 +234,65 @@ class StreamCheck:
             f"{before / NS_PER_S:.6f} s)",
             "sort the events by time",
         )
+
+
+class FileRecording:
+    """A single file with one stream of events; a subclass opens it and yields its events.
+
+    Attributes:
+        file_name: of the file that holds the events.
+        stack: closes what the subclass opens.
+        size: (width, height) as the file gives it; (0, 0) where it gives none.
+    """
+
+    def __init__(
+        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+    ) -> None:
+        if topic is not None:
+            raise InputError(path, "a file of one stream has no topics", "leave --topic out")
+        self.path = path
+        self.topic = ""
+        self.file_name = path.name
+        self.camera = load_calibration(calibration) if calibration else None
+        self.duration: float | None = None
+        self.size = (0, 0)
+        self.stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stack.close()
+
+    def imu(self, topic: str | None = None) -> Imu | None:
+        """Return None; see Recording. Formats that hold an IMU override it."""
+        refuse_imu_topic(self.path, topic)
+        return None
+
+    def checked(self, chunks: Iterable[Events], since: int | None = None) -> Iterator[Events]:
+        """Pass the events from a time on, checked against the sensor's size and for order.
+
+        Raises:
+            InputError: the calibration is of another size, or see StreamCheck.
+        """
+        check = StreamCheck(self.path, *self._sensor_size())
+        yield from trimmed(map(check, chunks), since)
+        check.finish()
+
+    def _sensor_size(self) -> tuple[int, int]:
+        if self.camera is None:
+            return self.size if all(self.size) else (ANY_SIZE, ANY_SIZE)
+        size = self.camera.width, self.camera.height
+        if all(self.size) and self.size != size:
+            raise InputError(
+                self.path,
+                f"events of a {self.size[0]}x{self.size[1]} sensor with the calibration of a "
+                f"{size[0]}x{size[1]} one",
+                "give this sensor's calibration with --calib FILE",
+            )
+        return size

@@ -1,4 +1,4 @@
-"""What is common to unfinished bags: a file with an index put behind it, and its chunks."""
+"""A bag's file with an index appended to it in memory, and the chunks that the index lists."""
 
 import io
 from collections.abc import Callable, Iterator
@@ -59,8 +59,8 @@ class _Finished(io.RawIOBase):
         super().close()
 
 
-class Chunk(NamedTuple):
-    """A chunk, and per connection or channel where its index is and how many messages it has."""
+class BagChunk(NamedTuple):
+    """A chunk; per connection or channel, where its index is and how many messages it has."""
 
     at: int
     end: int
@@ -75,8 +75,8 @@ class Chunk(NamedTuple):
 
 def records_of_new(
     stream: Any,
-    chunks: list[Chunk],
-    decompress: Callable[[Chunk, bytes], bytes],
+    chunks: list[BagChunk],
+    decompress: Callable[[BagChunk, bytes], bytes],
     records: Callable[[bytes], Iterator[tuple[int, bytes]]],
 ) -> dict[int, bytes]:
     """Collect the definitions of connections or channels, each from the first chunk with it."""

@@ -1,40 +1,49 @@
-"""Reader of bags: ROS 1 files and rosbag2 (sqlite3, mcap), without ROS."""
+"""Reader of bags: the event topic, the camera_info beside it and the IMU topics.
 
-import sys
-from collections.abc import Generator, Iterator
-from contextlib import ExitStack, contextmanager
+The messages of an IMU are viewed as bytes, since a recording may hold millions of them.
+"""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.typesys import Stores, get_typestore
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.bag_entry import log_time_before
-from emoflow_ros.offline.readers.bag_files import (
+from emoflow_ros.readers.bag_files import (
     MAGIC,
-    check_magic,
-    has_usable_metadata,
-    refuse,
+    deserialize,
+    open_bag,
+    read_messages,
+    serialization,
     storage,
-    storage_files,
 )
-from emoflow_ros.offline.readers.bag_imu import choose_imu, read_imu
-from emoflow_ros.offline.readers.base import StreamCheck, trimmed
-from emoflow_ros.offline.readers.imu import Imu
-from emoflow_ros.offline.readers.unfinished import finished
+from emoflow_ros.readers.recording import ANY_SIZE, Imu, StreamCheck, trimmed
 from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
-_ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
-# Types whose times do not depend on messages before.
+# The times of these types do not depend on earlier messages.
 _STANDALONE = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
+
+_SLACK_S = (1, 10, 100)  # log times follow event times at about a constant distance
+IMU_TYPE = "sensor_msgs/msg/Imu"
+# After the header: orientation (4), angular velocity (3) and acceleration (3), each with its
+# covariance (9) behind it.
+_VALUES = 37
+_ANGULAR, _ANGULAR_COVARIANCE = slice(13, 16), 16
+_ACCELERATION, _ACCELERATION_COVARIANCE = slice(25, 28), 28
+_NOT_MEASURED = -1.0  # in the first element of a covariance
+_ENCAPSULATION = 4
+_STAMP = 4  # offset in CDR and, after the sequence number, in ROS 1
 
 
 class BagRecording:
@@ -65,7 +74,7 @@ class BagRecording:
         """Stream the events, one message at a time."""
         start = None
         if since is not None and self._connection.msgtype in _STANDALONE:
-            start = log_time_before(since, self._first_event)
+            start = _log_time_before(since, self._first_event)
         return trimmed(self._checked(start), since)
 
     def _checked(self, start: int | None) -> Iterator[Events]:
@@ -121,7 +130,7 @@ class BagRecording:
     def _sensor_size(self, width: int, height: int) -> tuple[int, int]:
         """Reconcile the size in the messages (0: none) with the camera's."""
         if self.camera is None:
-            return width or _ANY_SIZE, height or _ANY_SIZE
+            return width or ANY_SIZE, height or ANY_SIZE
         size = self.camera.width, self.camera.height
         if width and (width, height) != size:
             raise InputError(
@@ -145,104 +154,6 @@ class BagRecording:
         return None
 
 
-class _StandardTypesReader(AnyReader):
-    """An AnyReader that knows the standard message types and ignores the bag's definitions.
-
-    Events are decoded by `msg_adapters` and everything else that is read here is a standard
-    type, so definitions are not needed, and an IDL schema, which AnyReader cannot parse, or a
-    type hash that differs does no harm.
-    """
-
-    def open(self) -> None:
-        """Open all files, or none."""
-        self.stack = ExitStack()
-        try:
-            for reader in self.readers:
-                self.stack.enter_context(reader)
-        except BaseException:
-            self.close()
-            raise
-        self.connections = [c for reader in self.readers for c in reader.connections]
-        assert self.default_typestore is not None
-        self.typestore = self.default_typestore
-
-
-@contextmanager
-def open_bag(path: Path) -> Generator[AnyReader]:
-    """Open a bag of any kind: a ROS 1 file, a rosbag2 folder, or a single storage file.
-
-    A rosbag2 folder without usable metadata (recorder killed, empty storage_identifier) is
-    read from its storage files. A file that was cut off while recording is read as far as it is
-    whole; how far that is goes to standard error.
-
-    Raises:
-        InputError: the file is missing, empty, truncated, not indexed or not a bag.
-    """
-    files = [path] if path.is_file() else storage_files(path)
-    store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_JAZZY)
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(TemporaryDirectory()))
-        instead = {file: finished(file, folder) for file in files}
-        for file in files:
-            check_magic(instead[file] or file)
-        cut = [file for file in files if instead[file]]
-        whole = not cut and has_usable_metadata(path)
-        sources = [path] if whole else [instead[file] or file for file in files]
-        # On damaged bytes rosbags passes on whatever the libraries below it raise.
-        try:
-            reader = stack.enter_context(_StandardTypesReader(sources, default_typestore=store))
-        except Exception as error:
-            refuse(files[0], error)
-        if cut:
-            count = sum(connection.msgcount for connection in reader.connections)
-            seconds = reader.duration / NS_PER_S
-            files_cut = ", ".join(map(str, cut))
-            print(
-                f"{files_cut}: cut off while recording; read as far as it is whole: {count} "
-                f"messages in {seconds:.1f} s",
-                file=sys.stderr,
-            )
-        yield reader
-
-
-def read_messages(
-    path: Path, reader: AnyReader, connections: list[Connection], start: int | None = None
-) -> Iterator[tuple[Connection, int, bytes]]:
-    """Stream (connection, log time in ns, bytes) of an opened bag in order of log time.
-
-    With `start` only what was logged at or after that time, ns.
-
-    Raises:
-        InputError: damaged data.
-    """
-    messages = reader.messages(connections=connections, start=start)
-    while True:
-        try:
-            item = next(messages)
-        except StopIteration:
-            return
-        except Exception as error:
-            refuse(path, error)
-        yield item
-
-
-def serialization(reader: AnyReader) -> Any:
-    """Return `cdr` or `ros1`, as `msg_adapters.make_decoder` takes it."""
-    return "cdr" if reader.is2 else "ros1"
-
-
-def deserialize(reader: AnyReader, connection: Connection, data: bytes) -> Any:
-    """Deserialise a message of any type but the event types, which `msg_adapters` decode.
-
-    Raises:
-        InputError: damaged data.
-    """
-    try:
-        return reader.deserialize(data, connection.msgtype)
-    except Exception as error:  # as of opening
-        refuse(Path(str(reader.paths[0])), error)
-
-
 def _event_connection(path: Path, reader: AnyReader, topic: str | None) -> Connection:
     """Find the one event topic, or the one asked for."""
     known = {c.topic: c for c in reader.connections if c.msgtype in supported_types()}
@@ -261,3 +172,116 @@ def _event_connection(path: Path, reader: AnyReader, topic: str | None) -> Conne
     there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections}))
     fix = f"give one of {', '.join(sorted(known))}" if known else "give a bag with events"
     raise InputError(path, f"{wrong}; it holds {there or 'no topics'}", fix)
+
+
+def _log_time_before(
+    since: int, first_event: Callable[[int | None], tuple[int, int] | None]
+) -> int | None:
+    """Find where to enter a bag, which is ordered by log time, to read from an event time on.
+
+    From the log time that is found, no event at or after the event time is missed. Event times are
+    in order: a first event before `since` proves that the log time is early enough.
+
+    Args:
+        since: the event time, ns.
+        first_event: log and event time, ns, of the first event logged at or after a time (None:
+            of all).
+
+    Returns:
+        The log time in ns; None for the bag's beginning.
+    """
+    first = first_event(None)
+    if first is None:
+        return None
+    logged, time = first
+    for slack_s in _SLACK_S:
+        start = since + logged - time - slack_s * NS_PER_S
+        if start <= logged:
+            return None
+        found = first_event(start)
+        if found is not None and found[1] < since:
+            return start
+    return None
+
+
+def choose_imu(
+    path: Path, connections: Sequence[Connection], beside: str, topic: str | None
+) -> list[Connection]:
+    """Find the IMU topic asked for, the one `imu` beside the events, or the only one.
+
+    Args:
+        path: of the bag, for errors.
+        connections: the bag's.
+        beside: the event topic.
+        topic: the one asked for.
+
+    Returns:
+        Its connections; none where the bag has no IMU and none was asked for.
+
+    Raises:
+        InputError: no such topic, or several of which none is beside the events.
+    """
+    known = sorted({c.topic for c in connections if c.msgtype == IMU_TYPE})
+    own = beside.rpartition("/")[0] + "/imu"
+    chosen = topic or (own if own in known else known[0] if len(known) == 1 else None)
+    there = ", ".join(known) or "none"
+    if chosen is None and known:
+        raise InputError(path, f"{len(known)} IMU topics: {there}", "name the camera's")
+    if chosen is not None and chosen not in known:
+        raise InputError(path, f"no {IMU_TYPE} topic '{chosen}'", f"its IMU topics: {there}")
+    return [c for c in connections if c.topic == chosen]
+
+
+def read_imu(path: Path, messages: Iterable[tuple[Connection, int, bytes]], *, ros2: bool) -> Imu:
+    """Read all messages of an IMU topic, as `read_messages` gives them.
+
+    Raises:
+        InputError: no messages, damaged messages, or messages that say there is no gyroscope.
+    """
+    topic = ""
+    stamps, rows = [], []
+    for connection, _, data in messages:
+        topic = connection.topic
+        try:
+            stamp, values = _parse_imu(data, ros2=ros2)
+        except (IndexError, struct.error, ValueError):
+            raise InputError(path, f"damaged message on {topic}", "record it again") from None
+        stamps.append(stamp)
+        rows.append(values)
+    if not rows:
+        raise InputError(path, "its IMU topic has no messages", "record it again")
+    table = np.array(rows, np.float64)
+    if table[0, _ANGULAR_COVARIANCE] == _NOT_MEASURED:
+        raise InputError(path, f"{topic} says that it has no gyroscope", "name another topic")
+    has_force = table[0, _ACCELERATION_COVARIANCE] != _NOT_MEASURED
+    return Imu(
+        topic,
+        np.array(stamps, np.int64),
+        table[:, _ANGULAR].copy(),
+        table[:, _ACCELERATION].copy() if has_force else None,
+    )
+
+
+def header_stamp(data: bytes, *, ros2: bool) -> int:
+    """Return the stamp in ns of a serialised message that begins with a header.
+
+    Raises:
+        struct.error, IndexError: it is too short.
+    """
+    sec, nanosec, _ = struct.unpack_from(f"{_byte_order(data, ros2)}iII", data, _STAMP)
+    return int(sec) * NS_PER_S + int(nanosec)
+
+
+def _parse_imu(data: bytes, *, ros2: bool) -> tuple[int, NDArray[np.float64]]:
+    """Return a message's stamp in ns and its 37 numbers."""
+    order = _byte_order(data, ros2)
+    (length,) = struct.unpack_from(f"{order}I", data, _STAMP + 8)
+    start = _STAMP + 12 + length
+    if ros2:  # aligned to 8 bytes, counted from after the encapsulation
+        start += -(start - _ENCAPSULATION) % 8
+    values = np.frombuffer(data, f"{order}f8", _VALUES, start)
+    return header_stamp(data, ros2=ros2), values
+
+
+def _byte_order(data: bytes, ros2: bool) -> str:
+    return "<" if not ros2 or data[1] & 1 else ">"

@@ -9,9 +9,7 @@ import numpy as np
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers.base import refuse_imu_topic
-from emoflow_ros.offline.readers.file_recording import FileRecording
-from emoflow_ros.offline.readers.imu import Imu
+from emoflow_ros.readers.recording import FileRecording, Imu, refuse_imu_topic
 
 # The format has the acceleration in g and the rotation in deg/s.
 _ACCELERATION = ("accelerometer_x", "accelerometer_y", "accelerometer_z")
