@@ -30,8 +30,8 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.node.discovery import import_message_type
 from emoflow_ros.offline.estimates import Estimates, read_estimates
 from emoflow_ros.offline.metrics import angle_deg
-from emoflow_ros.offline.truth import Truth, load_truth
 from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import Truth, load_truth
 from msg_adapters import make_decoder
 
 _SCENE = "calm"

@@ -41,10 +41,10 @@ from emoflow_ros.offline.protocols import (
 from emoflow_ros.offline.provenance import versions
 from emoflow_ros.offline.report import Report, write_report
 from emoflow_ros.offline.sequences import find_sequence
-from emoflow_ros.offline.submission import Submission
 from emoflow_ros.offline.tracks import Tracker
-from emoflow_ros.offline.truth import load_truth
 from emoflow_ros.readers import KNOWN_FORMATS, require_camera
+from emoflow_ros.truth import load_truth
+from emoflow_ros.truth.dsec_flow import Submission
 
 _EXIT_NOTHING_ESTIMATED = 1
 _EPILOG = """\

@@ -20,10 +20,10 @@ from emoflow_ros.offline.estimates import EstimatesWriter
 from emoflow_ros.offline.gallery import Gallery
 from emoflow_ros.offline.published import Published
 from emoflow_ros.offline.results import WindowResult, assess
-from emoflow_ros.offline.submission import Submission
-from emoflow_ros.offline.truth import Truth
 from emoflow_ros.readers import Recording, require_camera
 from emoflow_ros.tracebacks import keep_traceback
+from emoflow_ros.truth import Truth
+from emoflow_ros.truth.dsec_flow import Submission
 
 # The total as text: tqdm drops it when a recording outlasts the length that it announced.
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total_fmt} s [{elapsed}<{remaining}{postfix}]"

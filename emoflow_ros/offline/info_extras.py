@@ -11,14 +11,14 @@ from rosbags.highlevel import AnyReader
 
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.truth import truth_beside
-from emoflow_ros.offline.truth.bag import DEPTH_NAMES, IMAGE, POSE_TYPES
-from emoflow_ros.offline.truth.tum import is_tum, read_poses
 from emoflow_ros.readers import Recording
 from emoflow_ros.readers.bag import IMU_TYPE, header_stamp, read_imu
 from emoflow_ros.readers.bag_files import read_messages
 from emoflow_ros.readers.ecd import IMU_FILE, read_imu_text
 from emoflow_ros.readers.recording import Imu
+from emoflow_ros.truth import truth_beside
+from emoflow_ros.truth.bag_truth import DEPTH_NAMES, IMAGE, POSE_TYPES
+from emoflow_ros.truth.text_truth import is_tum, read_poses
 
 
 @dataclass

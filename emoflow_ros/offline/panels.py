@@ -14,7 +14,7 @@ from emoflow_ros.core.sharpened import warped_counts
 from emoflow_ros.offline.figures import style
 from emoflow_ros.offline.gallery import Example
 from emoflow_ros.offline.metrics import end_point_error
-from emoflow_ros.offline.truth import TrueFlow, Truth
+from emoflow_ros.truth import TrueFlow, Truth
 
 _UNKNOWN = "#dddddd"
 _MOVING = "#1f7fd8"

@@ -1,6 +1,5 @@
 """Which windows are estimated and compared: freely cut ones, or a benchmark's intervals."""
 
-from collections.abc import Sequence as Ordered
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,10 +19,11 @@ from emoflow_ros.offline.intervals import (
 )
 from emoflow_ros.offline.published import PUBLISHED, Published
 from emoflow_ros.offline.sequences import DSEC_CLIP, MVSEC_CLIP, Sequence
-from emoflow_ros.offline.truth import DsecFlow, FlowSource, PropagatedFlow, TrueFlow, Truth
-from emoflow_ros.offline.truth.dsec import DsecInterval, read_test_intervals
 from emoflow_ros.readers import Recording
 from emoflow_ros.readers.dsec import DsecFolder, DsecRecording
+from emoflow_ros.truth import DsecFlow, PropagatedFlow, Truth
+from emoflow_ros.truth.dsec_flow import DsecInterval, read_test_intervals
+from emoflow_ros.truth.flow_maps import CroppedFlow, ListedFlow
 
 WINDOWS = "windows"
 DSEC = "dsec"
@@ -220,37 +220,6 @@ def frame_intervals(
         begin, end = (int(stamps[0]) + round(s * NS_PER_S) for s in sequence.segment_s)
         pairs = [(t0, t1) for t0, t1 in pairs if begin <= t0 and t1 <= end]
     return pairs
-
-
-class CroppedFlow:
-    """True flow of which only the upper rows count."""
-
-    def __init__(self, source: FlowSource, rows: int) -> None:
-        self._source = source
-        self._rows = rows
-        self.description = source.description
-
-    def displacement(self, t0: int, t1: int) -> TrueFlow | None:
-        """Return the source's displacement, not valid from row `rows` on."""
-        flow = self._source.displacement(t0, t1)
-        if flow is None:
-            return None
-        valid = flow.valid.copy()
-        valid[self._rows :] = False
-        return replace(flow, valid=valid)
-
-
-class ListedFlow:
-    """True flow of which only given intervals count, and not windows to warm up on."""
-
-    def __init__(self, source: FlowSource, intervals: Ordered[Interval]) -> None:
-        self._source = source
-        self._intervals = frozenset(intervals)
-        self.description = source.description
-
-    def displacement(self, t0: int, t1: int) -> TrueFlow | None:
-        """Return the source's displacement over a given interval; None over others."""
-        return self._source.displacement(t0, t1) if (t0, t1) in self._intervals else None
 
 
 def _stamps(recording: Recording, truth: Truth) -> tuple[NDArray[np.int64], str]:

@@ -17,7 +17,7 @@ from emoflow_ros.offline.metrics import (
     known_flow_mask,
 )
 from emoflow_ros.offline.tracks import TrackErrors
-from emoflow_ros.offline.truth import TrueFlow, TrueTwist, Truth
+from emoflow_ros.truth import TrueFlow, TrueTwist, Truth
 
 Vector = NDArray[np.float64]
 

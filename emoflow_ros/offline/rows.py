@@ -11,7 +11,7 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.columns import quality_values
 from emoflow_ros.offline.document import without_nan
 from emoflow_ros.offline.results import Vector, WindowResult
-from emoflow_ros.offline.truth import TrueTwist
+from emoflow_ros.truth import TrueTwist
 
 
 def window_row(window: WindowResult) -> dict[str, Any]:

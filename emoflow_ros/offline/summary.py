@@ -10,7 +10,7 @@ from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.offline.bootstrap import Statistic, Values, bootstrap_interval
 from emoflow_ros.offline.results import WindowResult
 from emoflow_ros.offline.trajectory import RELATIVE_SPAN_S, longest, trajectories
-from emoflow_ros.offline.truth import Truth
+from emoflow_ros.truth import Truth
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.tracks import Points, interpolate
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.offline.truth import FlowSource, Truth
+from emoflow_ros.truth import FlowSource, Truth
 
 _RECENT = 6  # windows whose tracks are kept for pictures
 

@@ -10,8 +10,8 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.offline.checkpoint import Checkpoint, Progress
 from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
 from emoflow_ros.offline.evaluation import proceed
-from emoflow_ros.offline.truth import Truth
 from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import Truth
 
 CAMERA = Camera(240, 180, 20.0, 20.0, 16.0, 12.0)
 

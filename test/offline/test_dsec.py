@@ -13,11 +13,10 @@ from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline import evaluate
 from emoflow_ros.offline.estimates import read_estimates
-from emoflow_ros.offline.flow_png import read_flow_png
 from emoflow_ros.offline.protocols import make_plan
-from emoflow_ros.offline.truth import Truth, load_truth
-from emoflow_ros.offline.truth.dsec import DsecInterval, read_test_intervals
 from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import Truth, load_truth
+from emoflow_ros.truth.dsec_flow import DsecInterval, read_flow_png, read_test_intervals
 
 START = 7 * NS_PER_S
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)

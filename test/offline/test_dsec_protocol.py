@@ -11,7 +11,7 @@ from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.offline.arguments import Source
 from emoflow_ros.offline.evaluation import evaluate
 from emoflow_ros.offline.protocols import make_plan
-from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.truth import load_truth
 
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)
 DSEC = [

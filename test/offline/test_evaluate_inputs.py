@@ -11,9 +11,9 @@ from known import Known
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.offline import evaluate, info
 from emoflow_ros.offline.evaluation import evaluate as evaluate_all
-from emoflow_ros.offline.truth import Truth
 from emoflow_ros.readers import READERS, open_recording
 from emoflow_ros.readers.bag import BagRecording
+from emoflow_ros.truth import Truth
 
 CALIBRATION = "200 200 119.5 89.5 0 0 0 0 0"
 RAW_HEADER = b"% evt 2.0\n% geometry 240x180\n% end\n"

@@ -17,9 +17,9 @@ from emoflow_ros.offline.evaluation import evaluate
 from emoflow_ros.offline.published import Published
 from emoflow_ros.offline.report import write_report
 from emoflow_ros.offline.summary import summarise
-from emoflow_ros.offline.truth import load_truth
-from emoflow_ros.offline.truth.rotation import ConstantRotation
 from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import load_truth
+from emoflow_ros.truth.text_truth import ConstantRotation
 
 OMEGA = np.array([0.3, 0.5, -0.2])
 CAMERA = Camera(240, 180, 200.0, 200.0, 119.5, 89.5)

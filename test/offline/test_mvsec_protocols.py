@@ -26,7 +26,7 @@ from emoflow_ros.offline.evaluation import evaluate
 from emoflow_ros.offline.protocols import make_plan
 from emoflow_ros.offline.sequences import SEQUENCES, Sequence
 from emoflow_ros.offline.summary import summarise, summarise_by_truth
-from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.truth import load_truth
 
 FRAMES = [START + (20 + 50 * k) * NS_PER_MS for k in range(10)]
 STAMPS = [START + (7 + 50 * k) * NS_PER_MS for k in range(11)]

@@ -8,11 +8,12 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.offline.intervals import CroppedSlicer
-from emoflow_ros.offline.protocols import CroppedFlow, adapt_windows, frame_intervals, make_plan
+from emoflow_ros.offline.protocols import adapt_windows, frame_intervals, make_plan
 from emoflow_ros.offline.published import PUBLISHED
 from emoflow_ros.offline.sequences import SEQUENCES, Sequence, find_sequence
-from emoflow_ros.offline.truth import TrueFlow, Truth
 from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import TrueFlow, Truth
+from emoflow_ros.truth.flow_maps import CroppedFlow
 
 INDOOR = SEQUENCES["indoor_flying1"].camera
 

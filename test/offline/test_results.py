@@ -9,7 +9,7 @@ from emoflow_ros.core.estimate import Quality, Status
 from emoflow_ros.offline.metrics import FlowErrors
 from emoflow_ros.offline.results import WindowResult
 from emoflow_ros.offline.summary import summarise, summarise_by_truth
-from emoflow_ros.offline.truth import TrueTwist, Truth
+from emoflow_ros.truth import TrueTwist, Truth
 
 
 def result(linear, true_linear, angular=(0.0, 0.2, 0.0), true_angular=(0.0, 0.1, 0.0), index=0):

@@ -6,7 +6,7 @@ import pytest
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.offline.tracks import Tracker
-from emoflow_ros.offline.truth import TrueFlow, Truth
+from emoflow_ros.truth import TrueFlow, Truth
 
 CAMERA = Camera(120, 90, 100.0, 100.0, 59.5, 44.5)
 MS = 1_000_000

@@ -11,7 +11,7 @@ from emoflow_ros.core.windows import NS_PER_MS
 from emoflow_ros.offline.results import WindowResult
 from emoflow_ros.offline.summary import summarise
 from emoflow_ros.offline.trajectory import Trajectory, integrate, longest, trajectories
-from emoflow_ros.offline.truth import TrueTwist
+from emoflow_ros.truth import TrueTwist
 
 STEP = 100 * NS_PER_MS
 

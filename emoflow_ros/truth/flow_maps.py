@@ -1,7 +1,8 @@
-"""Displacement between any two times from a sequence of flow maps."""
+"""True flow from flow maps or from depth images and poses, and the parts of it that count."""
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -9,7 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.offline.truth.base import TrueFlow
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.truth.ground_truth import FlowSource, PoseTrack, TrueFlow
 
 _KEPT_MAPS = 8
 
@@ -137,3 +139,82 @@ def _carry(
                 moved[i, j, 1] += share * v
             else:
                 valid[i, j] = False
+
+
+class DepthFlowMaps:
+    """Displacement from each depth image to the next one, on the event camera's pixel grid.
+
+    Args:
+        camera: the event camera, whose (distorted) pixels the depth images cover.
+        track: its poses.
+        stamps: (N,) int64 ns, of the depth images.
+        read_depth: gives depth image i, (H, W) m along the optical axis, NaN where unknown.
+        name: where they come from.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        track: PoseTrack,
+        stamps: NDArray[np.int64],
+        read_depth: Callable[[int], NDArray[np.float32]],
+        name: str,
+    ) -> None:
+        covered = [track.covers(int(t)) for t in stamps]
+        self.stamps = stamps[covered]
+        self.name = f"{name}, moved by the poses (static scene)"
+        self._indices = np.flatnonzero(covered)
+        self._read_depth = read_depth
+        self._track = track
+        self._camera = camera
+        self._grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), -1)
+        ones = np.ones((camera.height, camera.width, 1))
+        self._rays = np.concatenate([camera.bearings.astype(np.float64), ones], axis=-1)
+
+    def read(self, index: int) -> NDArray[np.float32]:
+        """Map `index`, (H, W, 2) px; NaN where depth is unknown or the point ends up behind."""
+        depth = self._read_depth(int(self._indices[index])).astype(np.float64)
+        world_from_0, world_from_1 = (
+            self._track.transform(int(t)) for t in self.stamps[index : index + 2]
+        )
+        motion = np.linalg.inv(world_from_1) @ world_from_0
+        points = self._rays * depth[..., None] @ motion[:3, :3].T + motion[:3, 3]
+        points[~(points[..., 2] > 0)] = np.nan
+        with np.errstate(invalid="ignore"):
+            flow = self._camera.project(points) - self._grid
+        return flow.astype(np.float32)
+
+    def moving(self, index: int) -> NDArray[np.bool_] | None:
+        """Return None: depth images do not show what moves."""
+        return None
+
+
+class CroppedFlow:
+    """True flow of which only the upper rows count."""
+
+    def __init__(self, source: FlowSource, rows: int) -> None:
+        self._source = source
+        self._rows = rows
+        self.description = source.description
+
+    def displacement(self, t0: int, t1: int) -> TrueFlow | None:
+        """Return the source's displacement, not valid from row `rows` on."""
+        flow = self._source.displacement(t0, t1)
+        if flow is None:
+            return None
+        valid = flow.valid.copy()
+        valid[self._rows :] = False
+        return replace(flow, valid=valid)
+
+
+class ListedFlow:
+    """True flow of which only given intervals (start, end) in ns count, no others."""
+
+    def __init__(self, source: FlowSource, intervals: Sequence[tuple[int, int]]) -> None:
+        self._source = source
+        self._intervals = frozenset(intervals)
+        self.description = source.description
+
+    def displacement(self, t0: int, t1: int) -> TrueFlow | None:
+        """Return the source's displacement over a given interval; None over others."""
+        return self._source.displacement(t0, t1) if (t0, t1) in self._intervals else None

@@ -1,4 +1,7 @@
-"""Ground truth of recordings: velocity of the camera and displacement of its pixels."""
+"""Ground truth of recordings in every format.
+
+It is the velocity of the camera, the displacement of its pixels, or both.
+"""
 
 import zipfile
 from collections.abc import Callable, Sequence
@@ -6,19 +9,21 @@ from pathlib import Path
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.truth.bag import load_bag_truth
-from emoflow_ros.offline.truth.base import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
-from emoflow_ros.offline.truth.dsec import DsecFlow
-from emoflow_ros.offline.truth.ecd import load_gyro, load_motion
-from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
-from emoflow_ros.offline.truth.mvsec_hdf5 import is_mvsec_truth, load_mvsec_truth
-from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
-from emoflow_ros.offline.truth.odom_npz import SmoothedOdometry
-from emoflow_ros.offline.truth.tum import is_tum, load_poses
 from emoflow_ros.readers import Recording, require_camera
 from emoflow_ros.readers.bag import BagRecording
 from emoflow_ros.readers.dsec import DsecFolder
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
+from emoflow_ros.truth.bag_truth import load_bag_truth
+from emoflow_ros.truth.dsec_flow import DsecFlow
+from emoflow_ros.truth.flow_maps import PropagatedFlow
+from emoflow_ros.truth.ground_truth import FlowSource, TrueFlow, TrueTwist, Truth, TwistSource
+from emoflow_ros.truth.mvsec_truth import (
+    MvsecFlowMaps,
+    SmoothedOdometry,
+    is_mvsec_truth,
+    load_mvsec_truth,
+)
+from emoflow_ros.truth.text_truth import is_tum, load_gyro, load_motion, load_poses
 
 __all__ = [
     "DsecFlow",
@@ -31,7 +36,6 @@ __all__ = [
     "load_truth",
     "truth_beside",
 ]
-
 _STAMPED = "stamped_groundtruth.txt"
 # Files that lie in the folder of a recording, the best first.
 _BY_NAME: dict[str, Callable[[Path, Camera], Truth]] = {

@@ -11,11 +11,9 @@ from rosbags.interfaces import Connection
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.truth.base import Truth
-from emoflow_ros.offline.truth.depth import DepthFlowMaps
-from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
-from emoflow_ros.offline.truth.poses import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, pose_track
 from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
+from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow
+from emoflow_ros.truth.ground_truth import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, Truth, pose_track
 
 _ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_TYPES = ("geometry_msgs/msg/PoseStamped", _ODOMETRY)  # the best first
