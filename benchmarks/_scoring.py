@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scoreboard.uncertainty import direction_errors, normalised_squares
 from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.offline.results import MIN_TRUE_SPEED, WindowResult
+from emoflow_ros.evaluation.window_results import MIN_TRUE_SPEED, WindowResult
 from emoflow_ros.simulation.truth import GroundTruth
 from emoflow_ros.truth import TrueFlow, TrueTwist
 

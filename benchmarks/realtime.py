@@ -41,8 +41,8 @@ from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.provenance import machine, versions
-from emoflow_ros.offline.results import assess
+from emoflow_ros.evaluation.provenance import machine, versions
+from emoflow_ros.evaluation.window_results import assess
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.truth import Truth
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from emoflow_ros.offline.bootstrap import bootstrap_interval, paired_p_value
+from emoflow_ros.evaluation.metrics import bootstrap_interval, paired_p_value
 
 
 def test_interval_of_a_normal_mean():

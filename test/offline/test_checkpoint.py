@@ -7,9 +7,9 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.checkpoint import Checkpoint, Progress
-from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
-from emoflow_ros.offline.evaluation import proceed
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
+from emoflow_ros.evaluation.run_progress import Checkpoint, Progress
+from emoflow_ros.evaluation.window_run import proceed
 from emoflow_ros.readers import open_recording
 from emoflow_ros.truth import Truth
 
@@ -77,7 +77,7 @@ def test_continued_run_equals_an_uninterrupted_one(
     whole = read_estimates(tmp_path / "whole.h5").columns
     assert len(whole["t"]) == 48
 
-    monkeypatch.setattr("emoflow_ros.offline.checkpoint._PERIOD_S", period)
+    monkeypatch.setattr("emoflow_ros.evaluation.run_progress._PERIOD_S", period)
     checkpoint = Checkpoint(tmp_path / "c.pickle", {"input": "e"})
     progress = new_progress()
     if period:  # saved once, after nothing was done

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.compare import Run, compare, load_run, main
+from emoflow_ros.evaluation.run_comparison import Run, compare, load_run, main
 
 
 def report(epe, start=10.0, **configuration):

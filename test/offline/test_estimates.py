@@ -6,9 +6,9 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.tracks import INSTANTS
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.columns import ADDED, QUALITY
-from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
-from emoflow_ros.offline.tracks import Tracks
+from emoflow_ros.evaluation.estimates_columns import ADDED, QUALITY
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
+from emoflow_ros.evaluation.track_errors import ComparedTracks
 
 CAMERA = Camera(6, 4, 5.0, 5.0, 3.0, 2.0, "equidistant", (0.1, 0.2, 0.3, 0.4))
 T0 = 1_744_227_144_732_712_345  # a Unix time that float64 seconds cannot hold exactly
@@ -146,7 +146,7 @@ def test_tracks_round_trip(tmp_path):
             times = T0 + i * 90_000_000 + np.arange(INSTANTS) * 11_250_000
             ids = np.array([0, 1, 2 + i])
             nothing = np.full((2, 3, 2), np.nan)
-            writer.append(estimate(i), 200, Tracks(times, positions[i], ids, nothing, None))
+            writer.append(estimate(i), 200, ComparedTracks(times, positions[i], ids, nothing, None))
     columns = read_estimates(path).columns
     np.testing.assert_allclose(columns["tracks"], positions, rtol=1e-6)
     assert columns["track_id"].tolist() == [[0, 1, 2], [0, 1, 3]]

@@ -12,12 +12,12 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
-from emoflow_ros.offline.evaluation import evaluate
-from emoflow_ros.offline.published import Published
-from emoflow_ros.offline.report import write_report
-from emoflow_ros.offline.summary import summarise
+from emoflow_ros.evaluation.benchmark_sequences import Published
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
+from emoflow_ros.evaluation.summary import summarise
+from emoflow_ros.evaluation.window_run import evaluate
 from emoflow_ros.readers import open_recording
+from emoflow_ros.report.report_writer import write_report
 from emoflow_ros.truth import load_truth
 from emoflow_ros.truth.text_truth import ConstantRotation
 

@@ -9,9 +9,14 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.gyro_axes import axis_names
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_readings import GyroReadings
-from emoflow_ros.offline.gyro_alignment import GyroMeans, align, mirrored_axes, nearest_axes
-from emoflow_ros.offline.gyro_check import check_lines
-from emoflow_ros.offline.gyro_input import GyroInput
+from emoflow_ros.evaluation.gyro_check import (
+    GyroMeans,
+    align,
+    check_lines,
+    mirrored_axes,
+    nearest_axes,
+)
+from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.readers.recording import Imu
 
 MS = 1_000_000

@@ -11,8 +11,9 @@ from known import Known
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline import evaluate, label
-from emoflow_ros.offline.gyro_input import read_gyro, shares, with_choice
+from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.evaluation.recording_options import read_gyro, shares, with_choice
+from emoflow_ros.labels import label_command
 from emoflow_ros.readers import open_recording
 
 S = 1_000_000_000
@@ -58,12 +59,12 @@ def folder(tmp_path):
 
 @pytest.fixture
 def call(monkeypatch, capsys, folder):
-    monkeypatch.setattr(evaluate, "make_estimator", WithGyro)
+    monkeypatch.setattr(evaluate_command, "make_estimator", WithGyro)
 
     def run(*arguments):
         words = ["evaluate", folder, "--window-ms", 100, "--out", folder / "out", *arguments]
         monkeypatch.setattr("sys.argv", [str(word) for word in words])
-        code = evaluate.main()
+        code = evaluate_command.main()
         out, err = capsys.readouterr()
         return code, out, [line for line in err.splitlines() if line.startswith("error: ")]
 
@@ -151,5 +152,5 @@ def test_shares_are_counted():
 def test_labels_have_no_gyro(monkeypatch, capsys, folder):
     words = ["label", folder, "--out", folder / "labels", "--set", "imu.use=auto"]
     monkeypatch.setattr("sys.argv", [str(word) for word in words])
-    assert label.main() == 2
+    assert label_command.main() == 2
     assert "imu.use: labels are made without a gyro" in capsys.readouterr().err

@@ -1,6 +1,6 @@
 """What the page of a report writes."""
 
-from emoflow_ros.offline.html import format_count, format_number
+from emoflow_ros.report.documents import format_count, format_number
 
 
 def test_numbers_for_people():

@@ -5,12 +5,12 @@ import pytest
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
-from emoflow_ros.offline.clips import compared_part
-from emoflow_ros.offline.intervals import (
+from emoflow_ros.evaluation.slicers import (
     CausalSlicer,
     ClipSlicer,
     CroppedSlicer,
     IntervalSlicer,
+    compared_part,
     with_lead_in,
 )
 

@@ -8,8 +8,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.offline import label, label_chunks
-from emoflow_ros.offline.estimates import read_estimates
+from emoflow_ros.evaluation.estimates_file import read_estimates
+from emoflow_ros.labels import label_chunks, label_command
 
 MS, SECOND = 1_000_000, 1_000_000_000
 
@@ -81,7 +81,7 @@ def call(monkeypatch, out, *arguments):
     """Chunks of 4 windows of 50 ms and a margin of 2, unless told otherwise."""
     cut = ("--window-ms", 50, "--stride-ms", 50, "--chunk-s", 0.2, "--margin-s", 0.1)
     monkeypatch.setattr("sys.argv", ["label", *map(str, (*cut, *arguments, "--out", out))])
-    return label.main()
+    return label_command.main()
 
 
 def rows(path, *names):

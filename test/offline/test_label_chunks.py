@@ -5,7 +5,7 @@ import pytest
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
-from emoflow_ros.offline.label_chunks import Chunk, _windows, event_span, plan_chunks
+from emoflow_ros.labels.label_chunks import Chunk, _windows, event_span, plan_chunks
 from emoflow_ros.readers import open_recording
 
 MS = 1_000_000

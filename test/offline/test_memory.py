@@ -11,9 +11,9 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.windows import NS_PER_MS, WindowPolicy, WindowSlicer
-from emoflow_ros.offline.checkpoint import Progress
-from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
-from emoflow_ros.offline.evaluation import proceed
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
+from emoflow_ros.evaluation.run_progress import Progress
+from emoflow_ros.evaluation.window_run import proceed
 from emoflow_ros.truth import Truth
 from emoflow_ros.truth.ground_truth import PoseTrack
 from emoflow_ros.truth.text_truth import ConstantRotation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline import metrics
+from emoflow_ros.evaluation import metrics
 
 
 def slow_flow_errors(flow, truth):

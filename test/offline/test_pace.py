@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from emoflow_ros.offline.pace import Pace
+from emoflow_ros.commands.replay_messages import Pace
 
 
 class Clock:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.estimate import Quality, Status
-from emoflow_ros.offline.metrics import FlowErrors
-from emoflow_ros.offline.results import WindowResult
-from emoflow_ros.offline.summary import summarise, summarise_by_truth
+from emoflow_ros.evaluation.metrics import FlowErrors
+from emoflow_ros.evaluation.summary import summarise, summarise_by_truth
+from emoflow_ros.evaluation.window_results import WindowResult
 from emoflow_ros.truth import TrueTwist, Truth
 
 

@@ -8,8 +8,8 @@ from benchmarks.offline import figures, table
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import WindowSlicer
-from emoflow_ros.offline.estimates import EstimatesWriter
-from emoflow_ros.offline.evaluation import evaluate
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter
+from emoflow_ros.evaluation.window_run import evaluate
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate

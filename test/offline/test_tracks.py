@@ -5,7 +5,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.offline.tracks import Tracker
+from emoflow_ros.evaluation.track_errors import TrackComparer
 from emoflow_ros.truth import TrueFlow, Truth
 
 CAMERA = Camera(120, 90, 100.0, 100.0, 59.5, 44.5)
@@ -47,7 +47,7 @@ def estimate(start_ms, end_ms, flow):
 def test_new_tracks_begin_with_the_truth():
     """After a gap and a window without a flow the age and the true displacement start again."""
     truth = Truth(flows=ConstantTruth((20.0, 0.0)))
-    tracker, flow = Tracker(4, CAMERA), ConstantFlow((20.0, 10.0))
+    tracker, flow = TrackComparer(4, CAMERA), ConstantFlow((20.0, 10.0))
     assert tracker.follow(estimate(0, 100, flow), truth).errors.end_px == pytest.approx(1.0)
     later = tracker.follow(estimate(101, 201, flow), truth)
     assert later.ids.tolist() == [4, 5, 6, 7]
@@ -67,7 +67,7 @@ def test_errors_grow_with_the_tracks_age():
     true, unknown = (-20.0, 10.0), START + 300 * MS
     truth = Truth(flows=ConstantTruth(true, unknown=(unknown,)))
     flow = ConstantFlow(np.add(true, (30.0, 40.0)))
-    tracker = Tracker(1, CAMERA)
+    tracker = TrackComparer(1, CAMERA)
     for k in range(3):
         errors = tracker.follow(estimate(100 * k, 100 * (k + 1), flow), truth).errors
         assert errors.end_px == pytest.approx(5.0 * (k + 1), abs=1e-4)
@@ -81,7 +81,7 @@ def test_errors_grow_with_the_tracks_age():
 
 def test_errors_in_overlapping_windows():
     truth = Truth(flows=ConstantTruth((20.0, 0.0)))
-    tracker = Tracker(1, CAMERA)
+    tracker = TrackComparer(1, CAMERA)
     for k in range(3):  # 100 ms every 40 ms
         flow = ConstantFlow((20.0, 10.0))
         errors = tracker.follow(estimate(40 * k, 40 * k + 100, flow), truth).errors
@@ -89,7 +89,7 @@ def test_errors_in_overlapping_windows():
 
 
 def test_recent_windows_are_bounded():
-    tracker = Tracker(2, CAMERA)
+    tracker = TrackComparer(2, CAMERA)
     for k in range(50):
         tracker.follow(estimate(10 * k, 10 * (k + 1), ConstantFlow((1.0, 0))), Truth())
     assert len(tracker.recent) == 6

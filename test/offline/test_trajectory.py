@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.estimate import Quality, Status
 from emoflow_ros.core.windows import NS_PER_MS
-from emoflow_ros.offline.results import WindowResult
-from emoflow_ros.offline.summary import summarise
-from emoflow_ros.offline.trajectory import Trajectory, integrate, longest, trajectories
+from emoflow_ros.evaluation.summary import summarise
+from emoflow_ros.evaluation.trajectory_errors import Trajectory, integrate, longest, trajectories
+from emoflow_ros.evaluation.window_results import WindowResult
 from emoflow_ros.truth import TrueTwist
 
 STEP = 100 * NS_PER_MS
