@@ -107,7 +107,7 @@ class Info:
 
 
 def main() -> int:
-    """Run the executable."""
+    """Entry point."""
     return run(lambda: _main(_parser().parse_args()))
 
 
@@ -126,7 +126,7 @@ def inspect(path: Path) -> Info:
 
 
 def _apart(info: Info, truth: TruthInfo) -> str | None:
-    """Say that a truth is of another time than all events."""
+    """Say whether a truth overlaps with no events in time; None where it does."""
     if truth.t_first is None or truth.t_last is None:
         return None
     spans = [(t.t_first, t.t_last) for t in info.topics if t.t_first is not None]
@@ -178,7 +178,7 @@ def _inspect_bag(path: Path) -> Info:
 
 
 def _is_extra(info: Info, path: Path, bag: AnyReader, name: str) -> bool:
-    """Take up a topic that is truth or an IMU; one that cannot be read is named as missing."""
+    """Add a topic that is truth or an IMU; one that cannot be read is listed as missing."""
     try:
         found = topic_truth(path, bag, name) or topic_imu(path, bag, name)
     except InputError as error:

@@ -55,7 +55,7 @@ class Player:
 
     Attributes:
         published: messages so far.
-        lag_s: the latest that a message ever was.
+        lag_s: the longest delay of a message.
 
     Raises:
         InputError: a topic is not in the bag, or nothing in it can be published.

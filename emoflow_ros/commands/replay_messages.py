@@ -34,7 +34,7 @@ class Pace:
         clock, sleep: monotonic time in s, and a wait of so many s.
 
     Attributes:
-        lag_s: the latest that a message ever was, stops left out.
+        lag_s: the longest delay of a message, stops left out.
     """
 
     def __init__(

@@ -149,7 +149,7 @@ _DSEC_CONDITIONS = (
 
 
 def _mvsec_figures(figures: tuple[float, ...], early_stopping: tuple[float, ...] = ()) -> Published:
-    """EPE in px, RMS of w in deg/s, RMS of v in m/s and s per window, as far as published."""
+    """EPE in px, RMS of w in deg/s, RMS of v in m/s and ms per window, as far as published."""
     keys = ("epe_px", "paper_angular_rms_deg_s", "paper_linear_rms_m_s", "runtime_p50_ms")
     stopped = ("epe_px", "paper_angular_rms_deg_s", "runtime_p50_ms")
     return Published(

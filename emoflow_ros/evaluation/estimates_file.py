@@ -168,7 +168,7 @@ class EstimatesWriter:
 
 
 def lacking(file: h5py.File, columns: Mapping[str, Column]) -> str:
-    """Say in words which data sets a file to go on with lacks; nothing if it has all."""
+    """Say which data sets are missing in a file that is to be continued; empty if none is."""
     names = [name for name in columns if name not in file]
     return f"without {', '.join(names)}, as of an earlier version" if names else ""
 
@@ -183,7 +183,7 @@ class Estimates:
         camera: of the recording.
         configuration: option values by dotted name.
         columns: every dataset but `flow`, by name; see docs/estimates_file.md. Files of earlier
-            versions lack some of `columns.ADDED`.
+            versions lack some of `estimates_columns.ADDED`.
         has_flow: whether `flow(i)` can be called.
     """
 

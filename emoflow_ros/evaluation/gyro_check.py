@@ -22,9 +22,9 @@ _COARSE_NS = 8_000_000
 _FINE_NS = 500_000
 _REACH_NS = 500_000_000
 _MOST_WINDOWS = 0.6
-_REPEATED = 3  # windows overlap: so many tell as much as one that is alone
+_REPEATED = 3  # windows that overlap and together count as one
 _NOISE = np.radians(1.0)  # rad/s, of the events' estimates
-# What gyros have.
+# What is usual for gyros.
 _USUAL_BIAS = np.radians(5.0)  # rad/s
 _USUAL_LOG_SCALE = 0.2
 _USUAL_OFFSET_NS = 100_000_000
@@ -32,7 +32,7 @@ _RAD_PER_DEG = np.pi / 180
 _ROUNDS = 8
 _INLIER = 3.0  # robust standard deviations beyond which a window counts less
 _FEW = 8
-_SLOW = math.radians(3.0)  # rad/s, spread of the motion below which an axis is not told
+_SLOW = math.radians(3.0)  # rad/s, spread of the motion below which an axis cannot be found
 _DEG_PER_RAD = math.degrees(1.0)
 
 
@@ -45,7 +45,7 @@ class Alignment:
         scale: of the gyro; 1 where its units are right.
         bias: (3,) of the gyro in its own axes and units.
         offset_ns: what is to be added to the gyro's stamps.
-        residual: root mean square of what is left, outliers counting less, rad/s per axis.
+        residual: root mean square of the differences, outliers counting less, rad/s per axis.
         spread: (3,) root of the eigenvalues of the events' covariance over the windows, largest
             first, rad/s: how far the camera turned about its three main axes.
         windows: how many were compared.
@@ -105,7 +105,7 @@ def align(means: GyroMeans, starts: Times, ends: Times, events: Array) -> Alignm
         centre = best.offset_ns if best else 0
         for shift in range(-reach, reach + 1, step):
             found = fit(means.over(starts - centre - shift, ends - centre - shift), events)
-            # An offset that leaves few windows to compare would fit them well.
+            # An offset that leaves only few windows to compare would always fit them well.
             if found is None or found.windows < _MOST_WINDOWS * len(starts):
                 continue
             found = replace(found, offset_ns=centre + shift)
@@ -173,9 +173,9 @@ def _weighted_fit(gyro: Array, events: Array, weights: Array) -> tuple[Array, fl
 
 
 def _misfit(found: Alignment) -> float:
-    """Minus the logarithm of a probability: of what is left, and of such a gyro.
+    """Minus the logarithm of the probability of the residual and of the gyro's parameters.
 
-    A short recording can be fitted by a wild bias, scale and offset.
+    The parameters count, since unlikely ones may fit a short recording best.
     """
     of_data = 3 * found.windows / _REPEATED * np.log(found.residual**2 + _NOISE**2) / 2
     units = (1.0, _RAD_PER_DEG, 1 / _RAD_PER_DEG)
@@ -260,7 +260,7 @@ def _units(found: Alignment) -> str:
 def _intervals(
     windows: Sequence[WindowResult],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Middle thirds of the windows, where their angular velocity holds, and that."""
+    """Middle thirds of the windows, and the angular velocity, which holds there."""
     start = np.array([window.t_start for window in windows], np.int64)
     end = np.array([window.t_end for window in windows], np.int64)
     third = (end - start) // 3

@@ -1,8 +1,8 @@
-"""Error measures of flow and egomotion, as the benchmarks of the field define them, and confidence.
+"""Error measures of flow and egomotion, their confidence intervals and significance.
 
-Definitions: EPE and outliers as in MVSEC's evaluation (Zhu et al., RSS 2018), the angular error
-in space-time as in Barron et al., IJCV 1994, confidence intervals and significance by resampling
-windows (Efron and Tibshirani, 1993).
+EPE and outliers are defined as in MVSEC's evaluation (Zhu et al., RSS 2018), the angular error in
+space-time as in Barron et al., IJCV 1994. Confidence intervals and significance come from
+resampling windows (Efron and Tibshirani, 1993).
 """
 
 import math
@@ -18,13 +18,13 @@ from emoflow_ros.core.events import Events
 Vectors = NDArray[np.float64]
 Flow = NDArray[np.floating]
 Mask = NDArray[np.bool_]
-# An outlier, in px (%Out of the MVSEC benchmark).
-OUTLIER_PX = 3.0
-
-_RESAMPLES = 1000
-_TAILS = (2.5, 97.5)  # percent: a 95 % interval
 Values = NDArray[np.float64]
 Statistic = Callable[[Values], float]
+
+# An outlier, in px (%Out of the MVSEC benchmark).
+OUTLIER_PX = 3.0
+_RESAMPLES = 1000
+_TAILS = (2.5, 97.5)  # percent: a 95 % interval
 
 
 def event_mask(events: Events, width: int, height: int) -> Mask:

@@ -42,8 +42,8 @@ CAUSAL, PAPER = "causal", "paper"
 POLICIES = (CAUSAL, PAPER)
 _PUBLISHED_STEP = 4
 _LEAD_IN = 4  # windows; a warm start has settled by then
-# An interval is but the end of a window that reaches back. Where it does so by more than this,
-# the change of the motion within it costs more than its further events gain.
+# A causal window ends with its interval and reaches back before it. Beyond this displacement the
+# change of the motion costs more accuracy than the further events gain.
 _REACH_PX = 12.0
 
 _IMAGE = "sensor_msgs/msg/Image"

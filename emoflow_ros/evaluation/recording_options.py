@@ -26,9 +26,8 @@ from emoflow_ros.readers.bag import BagRecording
 from emoflow_ros.readers.ecd import read_imu_text
 from emoflow_ros.readers.recording import Imu
 
-_MOST = "window.max_displacement_px"
-
 OFF = "off"
+_MOST = "window.max_displacement_px"
 _SHARE = re.compile(r": \d+ % of windows")
 
 
@@ -40,7 +39,7 @@ class Source:
         path: a recording of any known format.
         topic: the event topic, where it has several.
         calibration: a file that takes the place of the recording's own calibration.
-        sequence: a benchmark's; what it prescribes yields to topic and calibration.
+        sequence: of a benchmark, if any; topic and calibration come before what it prescribes.
     """
 
     path: Path
@@ -174,7 +173,7 @@ def make_folder(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class GyroInput:
-    """A recording's IMU, and what it says in the camera's frame.
+    """A recording's IMU, and its angular velocity in the camera's frame.
 
     Attributes:
         imu: as it was read.
@@ -210,7 +209,7 @@ def with_choice(config: Config, choice: str | None, *, check: bool = False) -> C
     """Return the configuration with `imu.use` as the options say, if one was given.
 
     Raises:
-        InputError: an IMU is to be checked and none to be used.
+        InputError: an IMU is to be checked, but --imu is off.
     """
     if check and choice == OFF:
         raise InputError("--check-imu", "there is nothing to check with --imu off", "name the IMU")
@@ -273,7 +272,7 @@ def _require_common_time(recording: Recording, name: str, readings: GyroReadings
 
 
 def shares(statuses: Iterable[str]) -> str:
-    """Count what the windows say of the gyro, for example `used 95 %, none 5 %`.
+    """Count the windows by what became of the gyro, for example `used 95 %, none 5 %`.
 
     The shares of windows in their own reasons are left out.
     """

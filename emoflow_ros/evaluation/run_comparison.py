@@ -122,7 +122,7 @@ def load_run(folder: Path) -> Run:
 
 
 def write_comparison(runs: Sequence[Run], folder: Path) -> Path:
-    """Write comparison.json and comparison.html; the first run is what others are held against.
+    """Write comparison.json and comparison.html; all other runs are compared with the first one.
 
     Raises:
         InputError: a run that has no window in common with the first one.

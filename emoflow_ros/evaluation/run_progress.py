@@ -29,13 +29,13 @@ WORST = 5
 _CAPACITY = 8
 _PERIOD_S = 10.0
 
-# Estimators hold handles of loaded libraries; these are not saved, but looked up again.
+# Estimators hold handles of loaded libraries. They are not saved; loading finds them again.
 copyreg.pickle(ThreadpoolController, lambda _: (ThreadpoolController, ()))
 
 
 @dataclass(frozen=True)
 class Example:
-    """A window with all that its pictures need; `tracks` are those up to it, its own last."""
+    """A window with all that its pictures need; `tracks` has the tracks up to it, its own last."""
 
     title: str
     window: Window
@@ -45,7 +45,7 @@ class Example:
 
     @property
     def error(self) -> float:
-        """What examples are ranked by: EPE or, where no truth is known, contrast that is lost."""
+        """The figure that ranks examples: EPE, or minus the contrast gain without a truth."""
         if self.result.flow is not None:
             return self.result.flow.epe_px
         gain = self.result.quality.contrast_gain
@@ -123,7 +123,7 @@ class Gallery:
 
 
 def _detached(window: Window) -> Window:
-    """Copy the events out of the chunk that they are a part of, which can go then."""
+    """Copy the events out of their chunk, so that the chunk can be freed."""
     every = np.ones(len(window.events), np.bool_)
     return Window(window.t_start, window.t_end, window.events[every])
 
@@ -163,7 +163,7 @@ class Checkpoint:
 
     Args:
         path: the file.
-        identity: what has to be the same for a run to be continued: recording, options, versions.
+        identity: what a run that continues must have in common: recording, options, versions.
     """
 
     def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:

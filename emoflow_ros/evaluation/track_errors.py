@@ -78,7 +78,7 @@ class TrackComparer:
         return tracks
 
     def _true_start(self, found: core.Tracks) -> Points:
-        """Where the points truly are at a window's start: new tracks begin there."""
+        """Where the points truly are at a window's start; a new track begins where its point is."""
         start, t = found.positions[0], int(found.times[0])
         carried = np.isin(found.ids, self.recent[-1].ids if self.recent else [])
         if carried.any():

@@ -39,7 +39,7 @@ class Trajectory:
         The rotation and translation of least squares (Umeyama, PAMI 1991, scale 1).
         """
         ours, true = self.estimated[:, :3, 3], self.true[:, :3, 3]
-        with warnings.catch_warnings():  # on a straight line any roll about it is as good
+        with warnings.catch_warnings():  # on a straight line the roll is arbitrary
             warnings.simplefilter("ignore", UserWarning)
             rotation, _ = Rotation.align_vectors(true - true.mean(axis=0), ours - ours.mean(axis=0))
         return np.asarray(rotation.apply(ours - ours.mean(axis=0)) + true.mean(axis=0))

@@ -20,7 +20,7 @@ from emoflow_ros.evaluation.track_errors import TrackErrors
 from emoflow_ros.truth import TrueFlow, TrueTwist, Truth
 
 Vector = NDArray[np.float64]
-# Below these the direction of a true velocity says nothing.
+# Below these limits the direction of a true velocity is not compared.
 MIN_TRUE_SPEED = 0.05  # m/s
 MIN_TRUE_RATE = np.radians(5.0)  # rad/s
 

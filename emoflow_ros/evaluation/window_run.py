@@ -24,7 +24,7 @@ from emoflow_ros.tracebacks import keep_traceback
 from emoflow_ros.truth import Truth
 from emoflow_ros.truth.dsec_flow import Submission
 
-# The total as text: tqdm drops it when a recording outlasts the length that it announced.
+# The total is given as text: tqdm drops the number when a recording is longer than announced.
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total_fmt} s [{elapsed}<{remaining}{postfix}]"
 _BAR_OF_UNKNOWN_LENGTH = "{desc}: {n:.1f} s [{elapsed}{postfix}]"
 
@@ -167,7 +167,7 @@ def proceed(
 
 
 def attempt(estimator: Estimator, window: Window) -> tuple[Estimate, str]:
-    """Estimate a window; an exception costs no other window.
+    """Estimate a window; an exception does not affect other windows.
 
     Returns:
         The estimate and an empty note, or one without values (`diverged`) and the exception in

@@ -29,6 +29,10 @@ from emoflow_ros.evaluation.window_run import attempt
 from emoflow_ros.labels.label_file import Header, LabelWriter
 from emoflow_ros.readers import Recording
 
+LOCAL = "local"
+_RETRIES = 3  # of a job whose worker died
+_OBJECT_STORE = 80 << 20  # bytes, the least that Ray takes: jobs read and write files
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -131,7 +135,7 @@ def label_chunk(job: Job) -> str:
         os.replace(partial, job.target)
     except InputError as error:
         return str(error)
-    except Exception as error:  # one recording must not cost the others
+    except Exception as error:  # one recording must not stop the others
         traceback.print_exc()
         return f"{job.source.path}: {type(error).__name__}: {' '.join(str(error).split())}"
     finally:
@@ -161,12 +165,6 @@ def _windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window
 # Does the jobs and yields each with what `label_chunk` returned, in the order of completion.
 JobRunner = Callable[[Iterable[Job]], Iterator[tuple[Job, str]]]
 
-LOCAL = "local"
-
-_RETRIES = 3  # of a job whose worker died
-
-_OBJECT_STORE = 80 << 20  # bytes, the least that Ray takes: jobs read and write files
-
 
 def run_here(jobs: Iterable[Job]) -> Iterator[tuple[Job, str]]:
     """Do one job after the other in this process."""
@@ -180,7 +178,7 @@ def ray_workers(address: str, count: int | None) -> Generator[JobRunner]:
     A job whose worker dies is done again by another one, up to 3 times.
 
     Args:
-        address: of a running cluster, or `local` to start one on this machine for the time being.
+        address: of a running cluster, or `local` to start one on this machine for this run.
         count: jobs at once; None for as many as there are cores.
 
     Raises:

@@ -63,14 +63,14 @@ class RecordingPlan:
 
 
 def label_all(sources: Sequence[Source], settings: Settings, run: JobRunner) -> list[RecordingPlan]:
-    """Label recordings; one that fails does not cost the others.
+    """Label recordings; one that fails does not affect the others.
 
     Ctrl-C leaves the finished chunks for a run that resumes.
 
     Args:
         sources: the recordings; their label files have different names.
-        settings: see there.
-        run: does the chunks.
+        settings: the same for all of them.
+        run: does the work on the chunks.
 
     Returns:
         One plan per recording, with its error if it failed.

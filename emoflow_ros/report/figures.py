@@ -191,7 +191,7 @@ def middle_times(windows: Sequence[WindowResult]) -> Array:
 
 
 def _seen_by(windows: Sequence[WindowResult], source: int) -> list[WindowResult]:
-    """Hold the windows against another truth; source 0 is the first one."""
+    """Compare the windows with one of the truths; source 0 is the first one."""
     if source == 0:
         return list(windows)
     return [window.against(window.other_truths[source - 1]) for window in windows]

@@ -25,10 +25,8 @@ _GROUP = "davis/left"
 _POSE = f"{_GROUP}/pose"
 _DEPTH = f"{_GROUP}/depth_image_raw"
 _FLOW = f"{_GROUP}/flow_dist"
-
 _FLOW_FIX = "give MVSEC's <sequence>_gt_flow_dist.npz"
 _FLOW_PARTS = ("timestamps", "x_flow_dist", "y_flow_dist")
-
 _ODOMETRY_FIX = "give MVSEC's <sequence>_odom.npz"
 
 

@@ -26,7 +26,6 @@ _EPOCH_NS, _EPOCH_US = 1e17, 1e14
 # Steps between poses that fit one unit only, if poses come at 1 Hz to 10 kHz.
 _STEPS = ((NS_PER_S, 0.0, 1.0), (1000, 1e2, 1e5), (1, 1e6, 1e9))
 _HEAD_BYTES = 4096
-
 GYRO_HALF_WIDTH_S = 0.01
 
 
