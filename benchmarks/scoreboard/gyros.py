@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.gyro_readings import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.readers.recording import Imu
+from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.imu import ImuModel, measure_rotation, reading_times
 from emoflow_ros.simulation.truth import GroundTruth
 from emoflow_ros.truth.ground_truth import PoseTrack

@@ -15,7 +15,7 @@ from emoflow_ros.readers import Recording
 from emoflow_ros.readers.bag import IMU_TYPE, header_stamp, read_imu
 from emoflow_ros.readers.bag_files import read_messages
 from emoflow_ros.readers.ecd import IMU_FILE, read_imu_text
-from emoflow_ros.readers.recording import Imu
+from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.truth import truth_beside
 from emoflow_ros.truth.bag_truth import DEPTH_NAMES, IMAGE, POSE_TYPES
 from emoflow_ros.truth.text_truth import is_tum, read_poses

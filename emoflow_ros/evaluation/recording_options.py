@@ -24,7 +24,7 @@ from emoflow_ros.evaluation.benchmark_sequences import BenchmarkSequence
 from emoflow_ros.readers import Recording, open_recording
 from emoflow_ros.readers.bag import BagRecording
 from emoflow_ros.readers.ecd import read_imu_text
-from emoflow_ros.readers.recording import Imu
+from emoflow_ros.readers.reader_base import Imu
 
 OFF = "off"
 _MOST = "window.max_displacement_px"

@@ -9,7 +9,7 @@ import numpy as np
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.recording import FileRecording, Imu, refuse_imu_topic
+from emoflow_ros.readers.reader_base import FileRecording, Imu, refuse_imu_topic
 
 # The format has the acceleration in g and the rotation in deg/s.
 _ACCELERATION = ("accelerometer_x", "accelerometer_y", "accelerometer_z")

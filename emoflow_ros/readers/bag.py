@@ -28,7 +28,7 @@ from emoflow_ros.readers.bag_files import (
     serialization,
     storage,
 )
-from emoflow_ros.readers.recording import ANY_SIZE, Imu, StreamCheck, trimmed
+from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, StreamCheck, trimmed
 from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
 # The times of these types do not depend on earlier messages.

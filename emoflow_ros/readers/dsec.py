@@ -17,7 +17,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
-from emoflow_ros.readers.recording import FileRecording
+from emoflow_ros.readers.reader_base import FileRecording
 
 _RECTIFY_MAP = "rectify_map.h5"
 # As the archives of the whole data set unpack, and as those of one sequence are named.

@@ -17,7 +17,7 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.recording import (
+from emoflow_ros.readers.reader_base import (
     Imu,
     StreamCheck,
     pixel_coordinates,

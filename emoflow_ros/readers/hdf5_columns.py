@@ -18,7 +18,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, is_hdf5, open_hdf5, row_before
-from emoflow_ros.readers.recording import FileRecording, pixel_coordinates, to_ns
+from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns
 
 # The names that data sets give each column.
 _NAMES = (("x", "xs"), ("y", "ys"), ("t", "ts"), ("p", "ps", "pol", "polarity"))

@@ -11,7 +11,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
-from emoflow_ros.readers.recording import FileRecording, pixel_coordinates, to_ns
+from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")

@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.recording import FileRecording
+from emoflow_ros.readers.reader_base import FileRecording
 from msg_adapters import Statistics, make_packet_decoder
 
 _CHUNK_BYTES = 1 << 20

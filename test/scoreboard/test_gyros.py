@@ -14,7 +14,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.readers.recording import Imu
+from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.scenes import build_scene
 from emoflow_ros.simulation.truth import GroundTruth
 from emoflow_ros.truth import Truth

@@ -17,7 +17,7 @@ from emoflow_ros.evaluation.gyro_check import (
     nearest_axes,
 )
 from emoflow_ros.evaluation.recording_options import GyroInput
-from emoflow_ros.readers.recording import Imu
+from emoflow_ros.readers.reader_base import Imu
 
 MS = 1_000_000
 S = 1_000_000_000
