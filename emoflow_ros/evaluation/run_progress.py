@@ -21,8 +21,8 @@ from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation.metrics import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.slicers import Slicer
-from emoflow_ros.evaluation.track_errors import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.window_results import WindowResult
 
 WORST = 5

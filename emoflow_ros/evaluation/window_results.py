@@ -10,13 +10,13 @@ from emoflow_ros.core.windows import Window
 from emoflow_ros.evaluation.metrics import (
     FlowErrors,
     Mask,
+    TrackErrors,
     angle_deg,
     event_mask,
     flow_errors,
     known_flow_mask,
 )
 from emoflow_ros.evaluation.slicers import compared_part
-from emoflow_ros.evaluation.track_errors import TrackErrors
 from emoflow_ros.truth import TrueFlow, TrueTwist, Truth
 
 Vector = NDArray[np.float64]
