@@ -1,4 +1,4 @@
-"""The command `replay`: a bag of any kind into ROS topics, in time."""
+"""The command `replay`: it publishes a bag of any kind on ROS topics, at its pace."""
 
 import argparse
 import signal

@@ -137,7 +137,7 @@ class EstimatesWriter:
         self._file.flush()
 
     def truncate(self, rows: int) -> None:
-        """Remove what there is beyond the first `rows` windows, of which there are as many."""
+        """Keep the first `rows` windows, which have to be there, and remove all others."""
         self._rows = rows
         for dataset in self._datasets.values():
             dataset.resize(rows, axis=0)

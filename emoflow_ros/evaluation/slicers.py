@@ -1,6 +1,6 @@
 """Slicers: they cut a stream of events into windows for given intervals.
 
-A window holds the interval's own events, those with the past, or a number of events.
+A window holds the events of its interval, earlier ones too, or a fixed number of events.
 """
 
 from collections import deque
@@ -171,7 +171,7 @@ class CroppedSlicer:
 
 
 def with_lead_in(intervals: Sequence[Interval], count: int) -> list[Interval]:
-    """Put up to `count` intervals of the same length before each that joins no other one."""
+    """Put up to `count` intervals of the same length into the gap before an interval."""
     result: list[Interval] = []
     last_end: int | None = None
     for start, end in intervals:

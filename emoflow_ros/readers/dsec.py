@@ -39,7 +39,7 @@ _MAP = "rectify_map"
 
 @dataclass(frozen=True)
 class DsecFolder:
-    """The folder of a sequence, named after it. Its parts raise InputError where they miss."""
+    """The folder of a sequence, named after it. A part that is missing raises InputError."""
 
     path: Path
 

@@ -71,7 +71,7 @@ class NpzRecording(FileRecording):
 def _load(path: Path) -> dict[str, NDArray[Any]]:
     """Read the arrays that have a meaning, as far as they are there.
 
-    NumPy's own words for damage are not repeated: they advise to load it unsafely.
+    NumPy's messages about damage are not repeated, since they advise to load it unsafely.
     """
     if not is_zipfile(path):
         raise InputError(path, "not a NumPy archive, or cut off", "copy it again")

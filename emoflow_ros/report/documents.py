@@ -107,7 +107,7 @@ def _axes(name: str, values: Vector) -> dict[str, float]:
 
 
 def render(template: str, **values: Any) -> str:
-    """Fill a template of `templates/`; a value that it misses is an error."""
+    """Fill a template of `templates/`; a missing value is an error."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_source), autoescape=True, undefined=jinja2.StrictUndefined
     )

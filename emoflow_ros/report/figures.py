@@ -1,4 +1,4 @@
-"""The charts of the report: one function draws one figure."""
+"""The charts of the report; each function draws one figure."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""What ground truth offers, whatever file it comes from, and the velocity that poses give."""
+"""What ground truth offers, whatever its file format, and the velocity that poses give."""
 
 from dataclasses import dataclass
 from pathlib import Path
