@@ -19,7 +19,7 @@ messages: setup  ## message packages of the event camera drivers, where not inst
 demo: export PARTS = light
 demo: messages  ## simulate, replay through the running node, report in out/demo/
 	@$(ENV)
-	python -m emoflow_ros.offline.demo
+	python -m emoflow_ros.commands.demo
 
 lint: setup  ## style and types
 	@$(ENV)

@@ -25,7 +25,7 @@ from messages import event_array, event_packet, point_cloud
 
 from emoflow_ros.cli import run
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.readers.bag import open_bag
+from emoflow_ros.readers.bag_files import open_bag
 from msg_adapters import make_decoder
 
 PACKET = "event_camera_msgs/msg/EventPacket"

@@ -37,7 +37,7 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.provenance import machine, versions
+from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.simulation.bags import write_bag
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import simulate

@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks._scoring import SCENES, verdict
 from emoflow_ros.cli import run
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.provenance import machine, versions
+from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.writer import OutputPaths, write_recording
@@ -29,7 +29,7 @@ from emoflow_ros.simulation.writer import OutputPaths, write_recording
 START = 1_500_000_000_000_000_000
 CORES = 2
 TARGET_FACTOR = 1.0
-_COMMAND = "import sys; from emoflow_ros.offline.evaluate import main; sys.exit(main())"
+_COMMAND = "import sys; from emoflow_ros.evaluation.evaluate_command import main; sys.exit(main())"
 
 
 def main() -> int:

@@ -37,10 +37,10 @@ from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import Window, WindowPolicy
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.provenance import machine, versions
-from emoflow_ros.offline.results import assess
-from emoflow_ros.offline.truth import Truth
+from emoflow_ros.evaluation.provenance import machine, versions
+from emoflow_ros.evaluation.window_results import assess
 from emoflow_ros.simulation.recording import SimulatedRecording
+from emoflow_ros.truth import Truth
 
 PROFILES = ("realtime", "rigid", "paper_early_stop", "paper")
 WINDOWS = 18  # of a recording

@@ -41,10 +41,10 @@ from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.provenance import machine, versions
-from emoflow_ros.offline.results import assess
-from emoflow_ros.offline.truth import Truth
+from emoflow_ros.evaluation.provenance import machine, versions
+from emoflow_ros.evaluation.window_results import assess
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
+from emoflow_ros.truth import Truth
 
 # Published with early stopping: 17.85 s of 38.98 s, summed over four MVSEC sequences.
 PAPER_EARLY_STOP = round(PAPER_ITERATIONS * 17.85 / 38.98)

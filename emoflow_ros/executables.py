@@ -13,8 +13,8 @@ def _command(module: str) -> Callable[[], int]:
     return main
 
 
-replay = _command("offline.replay")
-evaluate = _command("offline.evaluate")
+replay = _command("commands.replay")
+evaluate = _command("evaluation.evaluate_command")
 simulate = _command("simulation.simulate")
-info = _command("offline.info")
-label = _command("offline.label")
+info = _command("commands.info")
+label = _command("labels.label_command")

@@ -14,9 +14,9 @@ from benchmarks.paper import Timing, compare_with_target
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import Window
-from emoflow_ros.offline.metrics import FlowErrors
-from emoflow_ros.offline.results import WindowResult
-from emoflow_ros.offline.truth import TrueTwist
+from emoflow_ros.evaluation.metrics import FlowErrors
+from emoflow_ros.evaluation.window_results import WindowResult
+from emoflow_ros.truth import TrueTwist
 
 MS = 1_000_000
 NAN = float("nan")

@@ -71,7 +71,7 @@ def test_a_closed_standard_output_is_no_error():
 def test_info_without_a_reader(tmp_path, options):
     path = tmp_path / "a.npz"
     np.savez(path, x=[1, 2], y=[1, 2], p=[0, 1], t=[0.0, 0.5])
-    assert unread("-m", "emoflow_ros.offline.info", *options, path) == (EXIT_NO_READER, b"")
+    assert unread("-m", "emoflow_ros.commands.info", *options, path) == (EXIT_NO_READER, b"")
 
 
 def test_bad_input_is_told_from_process_to_process():

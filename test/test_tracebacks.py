@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from emoflow_ros.offline.evaluation import attempt
+from emoflow_ros.evaluation.window_run import attempt
 from emoflow_ros.tracebacks import keep_traceback
 
 

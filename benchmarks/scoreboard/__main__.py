@@ -22,13 +22,13 @@ from benchmarks.scoreboard.table import table
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.arguments import (
+from emoflow_ros.evaluation.recording_options import (
     add_configuration_options,
     make_folder,
     overrides,
     positive,
 )
-from emoflow_ros.offline.document import write_json
+from emoflow_ros.report.documents import write_json
 
 _SEEDS = "0:60"
 _QUICK = "0:12"

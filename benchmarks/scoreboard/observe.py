@@ -14,9 +14,9 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import NS_PER_S, Window, WindowSlicer
-from emoflow_ros.offline.evaluation import attempt
-from emoflow_ros.offline.metrics import event_mask, flow_errors
-from emoflow_ros.offline.truth import TrueFlow, TrueTwist
+from emoflow_ros.evaluation.metrics import event_mask, flow_errors
+from emoflow_ros.evaluation.window_run import attempt
+from emoflow_ros.truth import TrueFlow, TrueTwist
 
 SECOND_START_S = 0.37
 _SHORT = 3  # the second start leaves out at most this part of a recording, 1/3

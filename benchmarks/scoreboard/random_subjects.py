@@ -16,13 +16,13 @@ from benchmarks.scoreboard.subjects import Material, Subject
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.offline.truth import Truth
 from emoflow_ros.simulation.random_recording import (
     Factors,
     draw_factors,
     random_truth,
     simulate_random,
 )
+from emoflow_ros.truth import Truth
 
 DURATION_S = 3.0
 # Part of the names of cached files. Count on whenever the same factors give other events.

@@ -13,7 +13,7 @@ from benchmarks.scoreboard.plots import motion_figure
 from benchmarks.scoreboard.run import Outcome, file_name, severity
 from benchmarks.scoreboard.table import number
 from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
-from emoflow_ros.offline.html import png_uri
+from emoflow_ros.report.documents import png_uri
 
 WORST = 10
 _PAGES = "pages"
@@ -67,7 +67,7 @@ def _uri(picture: bytes) -> str:
 def _render(template: str, **values: Any) -> str:
     folders = [
         str(Path(__file__).parent / "templates"),
-        str(resources.files("emoflow_ros.offline") / "templates"),  # the base of all pages
+        str(resources.files("emoflow_ros.report") / "templates"),  # the base of all pages
     ]
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folders),

@@ -6,8 +6,8 @@ from pathlib import Path
 from benchmarks._scoring import SimulatedTruth
 from benchmarks.scoreboard.gyros import gyro_of_simulation
 from benchmarks.scoreboard.subjects import Material
-from emoflow_ros.offline.truth import Truth
 from emoflow_ros.simulation.recording import simulate
+from emoflow_ros.truth import Truth
 
 _FPS = 500
 

@@ -11,8 +11,8 @@ from benchmarks.scoreboard.truths import NominalFlow
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.gyro_readings import GyroReadings
-from emoflow_ros.offline.readers import open_recording, require_camera
-from emoflow_ros.offline.truth import Truth, load_truth
+from emoflow_ros.readers import open_recording, require_camera
+from emoflow_ros.truth import Truth, load_truth
 
 INDEPENDENT = ("calm", "forward", "agile", "rotation", "street", "mover")
 ROOT = Path(__file__).resolve().parents[2]

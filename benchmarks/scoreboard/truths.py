@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.offline.truth import TrueFlow, Truth, TwistSource
+from emoflow_ros.truth import TrueFlow, Truth, TwistSource
 
 _STEP_NS = 4_000_000
 

@@ -16,8 +16,8 @@ from harness import Peer, Processes, children
 from shared_node import SharedNode
 
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.node.supervisor import FACTORY
-from emoflow_ros.offline.estimates import read_estimates
 from emoflow_ros.simulation.bags import data_topics, write_bag
 from emoflow_ros.simulation.imu import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
@@ -25,8 +25,8 @@ from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 pytestmark = pytest.mark.dds
 
-REPLAY = (sys.executable, "-m", "emoflow_ros.offline.replay")
-EVALUATE = "import sys; from emoflow_ros.offline.evaluate import main; sys.exit(main())"
+REPLAY = (sys.executable, "-m", "emoflow_ros.commands.replay")
+EVALUATE = "import sys; from emoflow_ros.evaluation.evaluate_command import main; sys.exit(main())"
 RATE = "0.5"
 TOLERANCE = 1e-6  # rad/s and of a unit vector: the node's twists are the offline ones
 # A window waits 8 ms for the readings at its end, and the IMU is best effort: on a busy machine

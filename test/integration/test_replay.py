@@ -26,7 +26,7 @@ from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 pytestmark = pytest.mark.dds
 
 START = 1_500_000_000_000_000_000
-REPLAY = (sys.executable, "-m", "emoflow_ros.offline.replay")
+REPLAY = (sys.executable, "-m", "emoflow_ros.commands.replay")
 TOPIC = "/davis/left/events"
 
 
@@ -176,7 +176,7 @@ def no_bag(folder: Path, good: Path) -> Path:
 
 def refusals(*arguments: Sequence[str]) -> list[str]:
     """The single line that `replay` says to each of these arguments."""
-    found = results("emoflow_ros.offline.replay:main", arguments)
+    found = results("emoflow_ros.commands.replay:main", arguments)
     assert [code for code, _ in found] == [2] * len(arguments), found
     return [said for _, [said] in found]
 

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
-with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.offline.readers"]):
+with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.readers"]):
     from checked_arrays import checked_njit
 
     numba.njit = checked_njit  # before the kernels are imported
@@ -31,8 +31,8 @@ with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.offline.re
     from messages import event_array, event_packet, point_cloud
 
     from emoflow_ros.errors import InputError
-    from emoflow_ros.offline.readers.npz import NpzRecording
-    from emoflow_ros.offline.readers.prophesee_raw import PropheseeRawRecording
+    from emoflow_ros.readers.npz import NpzRecording
+    from emoflow_ros.readers.prophesee_raw import PropheseeRawRecording
     from msg_adapters import make_decoder, supported_types
 
     PACKET = "event_camera_msgs/msg/EventPacket"

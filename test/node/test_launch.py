@@ -213,7 +213,7 @@ def test_replay_plays_the_bag_and_is_the_clock_where_time_is_simulated(replay: S
     assert node.arguments == ["my.bag", "--rate", "0.5", "--wait", "60"]
     [node] = replay(use_sim_time="true")
     assert node.arguments[-1] == "--clock"
-    known = (ROOT / "emoflow_ros" / "offline" / "replay.py").read_text()
+    known = (ROOT / "emoflow_ros" / "commands" / "replay.py").read_text()
     assert all(f'"{flag}"' in known for flag in node.arguments if flag.startswith("--"))
 
 

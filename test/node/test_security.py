@@ -26,7 +26,7 @@ from emoflow_ros.simulation.messages import EVENT_ARRAY
 
 ROOT = Path(__file__).resolve().parents[2]
 # Checkpoints of an evaluation are read by the machine that wrote them, never by the node.
-OWN_PICKLES = ROOT / "emoflow_ros" / "offline" / "checkpoint.py"
+OWN_PICKLES = ROOT / "emoflow_ros" / "evaluation" / "run_progress.py"
 SOURCES = sorted(
     {p for part in ("emoflow_ros", "msg_adapters") for p in (ROOT / part).rglob("*.py")}
     - {OWN_PICKLES}

@@ -33,8 +33,8 @@ from emoflow_ros.core.calibration import load_calibration  # noqa: E402
 from emoflow_ros.core.camera import Camera  # noqa: E402
 from emoflow_ros.core.events import Events  # noqa: E402
 from emoflow_ros.errors import InputError  # noqa: E402
-from emoflow_ros.offline.readers import open_recording  # noqa: E402
-from emoflow_ros.offline.truth import load_truth  # noqa: E402
+from emoflow_ros.readers import open_recording  # noqa: E402
+from emoflow_ros.truth import load_truth  # noqa: E402
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 CALIB = "20 20 16 12 0.1 0 0 0 0\n"

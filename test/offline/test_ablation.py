@@ -7,8 +7,15 @@ import pytest
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline import ablation, evaluate
-from emoflow_ros.offline.ablation import ABLATIONS, Ablation, ColdStarts, Row, table_of, variants_of
+from emoflow_ros.evaluation import ablation, evaluate_command
+from emoflow_ros.evaluation.ablation import (
+    ABLATIONS,
+    Ablation,
+    ColdStarts,
+    Row,
+    table_of,
+    variants_of,
+)
 
 TINY = (
     "estimator.max_events=2000",
@@ -23,7 +30,7 @@ TINY = (
 
 def call(monkeypatch, *arguments):
     monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate.main()
+    return evaluate_command.main()
 
 
 def rows_of(out):

@@ -11,13 +11,12 @@ from synthetic import Plane, write_dsec
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline import evaluate
-from emoflow_ros.offline.estimates import read_estimates
-from emoflow_ros.offline.flow_png import read_flow_png
-from emoflow_ros.offline.protocols import make_plan
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.truth import Truth, load_truth
-from emoflow_ros.offline.truth.dsec import DsecInterval, read_test_intervals
+from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.evaluation.estimates_file import read_estimates
+from emoflow_ros.evaluation.protocols import make_plan
+from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import Truth, load_truth
+from emoflow_ros.truth.dsec_flow import DsecInterval, read_flow_png, read_test_intervals
 
 START = 7 * NS_PER_S
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)
@@ -174,7 +173,7 @@ class TestIntervals:
 
 def call(monkeypatch, *arguments):
     monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate.main()
+    return evaluate_command.main()
 
 
 def test_sequence_to_report_and_submission(monkeypatch, capsys, tmp_path, dsec):

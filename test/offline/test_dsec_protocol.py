@@ -8,10 +8,10 @@ from synthetic import Plane, write_dsec
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
-from emoflow_ros.offline.arguments import Source
-from emoflow_ros.offline.evaluation import evaluate
-from emoflow_ros.offline.protocols import make_plan
-from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.evaluation.protocols import make_plan
+from emoflow_ros.evaluation.recording_options import Source
+from emoflow_ros.evaluation.window_run import evaluate
+from emoflow_ros.truth import load_truth
 
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)
 DSEC = [
@@ -72,7 +72,7 @@ def slow_dsec(dsec):
 @pytest.mark.parametrize("policy", ["causal", "paper"])
 def test_dsec_flow(dsec, monkeypatch, policy):
     """All pixels with truth count, wherever events are; lead-in windows count for nothing."""
-    monkeypatch.setattr("emoflow_ros.offline.protocols.DSEC_CLIP", 2000)
+    monkeypatch.setattr("emoflow_ros.evaluation.protocols.DSEC_CLIP", 2000)
     with Source(dsec.path).open() as recording:
         plan = make_plan("dsec", recording, load_truth(recording), WindowPolicy(), clips=policy)
         run = evaluate(recording, Known(RECTIFIED), plan.slicer, plan.truth)

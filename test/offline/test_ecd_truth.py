@@ -7,10 +7,9 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.truth import load_truth
-from emoflow_ros.offline.truth.ecd import load_gyro, load_motion
-from emoflow_ros.offline.truth.tum import load_poses
+from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import load_truth
+from emoflow_ros.truth.text_truth import load_gyro, load_motion, load_poses
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 RATE = np.array([0.2, -0.4, 0.1])

@@ -2,13 +2,13 @@
 
 import pytest
 
-from emoflow_ros.offline import evaluate
-from emoflow_ros.offline.arguments import overrides
+from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.evaluation.recording_options import overrides
 
 
 def call(monkeypatch, *arguments):
     monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate.main()
+    return evaluate_command.main()
 
 
 def ecd(path, events, calibration="20 20 16 12 0 0 0 0 0"):
@@ -91,7 +91,7 @@ def test_out_that_is_a_file(monkeypatch, capsys, tmp_path):
 
 
 def test_stride_and_overrides_reach_the_configuration():
-    options = evaluate._parse(
+    options = evaluate_command._parse(
         ["x", "--window-ms", "50", "--stride-ms", "25", "--set", "estimator.max_events=2000"]
     )
     assert overrides(options) == {

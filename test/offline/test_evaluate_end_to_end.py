@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from emoflow_ros.offline import evaluate, evaluation
-from emoflow_ros.offline.estimates import read_estimates
+from emoflow_ros.evaluation import evaluate_command, window_run
+from emoflow_ros.evaluation.estimates_file import read_estimates
 
 
 def call(monkeypatch, *arguments):
     monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate.main()
+    return evaluate_command.main()
 
 
 def test_bag_to_report(monkeypatch, capsys, tmp_path, calm_bag):
@@ -42,15 +42,15 @@ def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, calm_bag):
     """The real estimator's memory survives the checkpoint: bitwise the same estimates."""
     options = (calm_bag.data, "--window-ms", 60, "--stride-ms", 30, "--tracks", 20)
     assert call(monkeypatch, *options, "--out", tmp_path / "whole") == 0
-    monkeypatch.setattr("emoflow_ros.offline.checkpoint._PERIOD_S", 0.0)
+    monkeypatch.setattr("emoflow_ros.evaluation.run_progress._PERIOD_S", 0.0)
 
-    def killed(progress, *rest, done=evaluation._process):
+    def killed(progress, *rest, done=window_run._process):
         if len(progress.windows) == 6:
             raise KeyboardInterrupt
         done(progress, *rest)
 
     with monkeypatch.context() as patched:
-        patched.setattr(evaluation, "_process", killed)
+        patched.setattr(window_run, "_process", killed)
         assert call(monkeypatch, *options, "--out", tmp_path / "parts") == 130
     assert len(read_estimates(tmp_path / "parts" / "estimates.h5")) == 6
     assert call(monkeypatch, *options, "--out", tmp_path / "parts", "--resume") == 0

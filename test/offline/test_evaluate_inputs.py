@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from known import Known
 
+from emoflow_ros.commands import info
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
-from emoflow_ros.offline import evaluate, info
-from emoflow_ros.offline.evaluation import evaluate as evaluate_all
-from emoflow_ros.offline.readers import READERS, open_recording
-from emoflow_ros.offline.readers.bag import BagRecording
-from emoflow_ros.offline.truth import Truth
+from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.evaluation.window_run import evaluate as evaluate_all
+from emoflow_ros.readers import READERS, open_recording
+from emoflow_ros.readers.bag import BagRecording
+from emoflow_ros.truth import Truth
 
 CALIBRATION = "200 200 119.5 89.5 0 0 0 0 0"
 RAW_HEADER = b"% evt 2.0\n% geometry 240x180\n% end\n"
@@ -57,7 +58,7 @@ def write_npz(path, count, **others):
 def test_raw_file_whose_length_only_reading_tells(call, tmp_path, calib):
     path = write_raw(tmp_path / "a.raw", range(0, 100_000, 100))
     arguments = ("--calib", calib, "--window-ms", 20, "--out", tmp_path / "out")
-    code, out, errors = call(evaluate, path, *arguments)
+    code, out, errors = call(evaluate_command, path, *arguments)
     assert (code, errors) == (1, [])
     assert "0 of 4 windows estimated" in out
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -84,7 +85,7 @@ def test_bar_of_an_unknown_or_wrong_length(tmp_path, calib, capsys, duration, wo
 def test_file_without_events(call, tmp_path, calib, name):
     path = tmp_path / name
     write_npz(path, 0) if path.suffix == ".npz" else write_raw(path, [])
-    code, out, errors = call(evaluate, path, "--calib", calib, "--out", tmp_path / "out")
+    code, out, errors = call(evaluate_command, path, "--calib", calib, "--out", tmp_path / "out")
     assert (code, out) == (2, "")
     assert errors == [f"error: {path}: holds no events; give a recording that has some"]
 
@@ -100,12 +101,12 @@ def test_aedat4_file(call, tmp_path, calib):
         "distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}\n"
     )
     options = ("--window-ms", 1, "--out", tmp_path / "out")
-    code, out, errors = call(evaluate, path, "--calib", wide, *options)
+    code, out, errors = call(evaluate_command, path, "--calib", wide, *options)
     assert (code, errors) == (1, [])
     assert "0 of 1 windows estimated" in out
 
 
-@pytest.mark.parametrize("tool", [evaluate, info])
+@pytest.mark.parametrize("tool", [evaluate_command, info])
 def test_help_lists_every_input(tool, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["it", "--help"])
     with pytest.raises(SystemExit):
@@ -143,7 +144,7 @@ def test_events_txt_is_its_folder_to_info(call, ecd):
 def test_events_txt_is_its_folder_to_evaluate(call, ecd, tmp_path):
     """Its calibration and its truth are found, too."""
     arguments = ("--window-ms", 50, "--out", tmp_path / "out")
-    code, out, errors = call(evaluate, ecd / "events.txt", *arguments)
+    code, out, errors = call(evaluate_command, ecd / "events.txt", *arguments)
     assert (code, errors) == (1, [])
     assert "0 of 1 windows estimated" in out
     assert "motion.txt" in str(json.loads((tmp_path / "out" / "report.json").read_text())["truth"])

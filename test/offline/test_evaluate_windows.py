@@ -5,15 +5,16 @@ import json
 import pytest
 
 from emoflow_ros.core.config import load_config
-from emoflow_ros.offline import evaluate, label
-from emoflow_ros.offline.arguments import overrides
+from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.evaluation.recording_options import overrides
+from emoflow_ros.labels import label_command
 
 MOST = "window.max_displacement_px"
 
 
 def call(monkeypatch, *arguments):
     monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate.main()
+    return evaluate_command.main()
 
 
 def windows_of(parse, *arguments):
@@ -24,10 +25,10 @@ def windows_of(parse, *arguments):
 
 
 def parse_label(arguments):
-    return label._parse([*arguments, "--out", "labels"])
+    return label_command._parse([*arguments, "--out", "labels"])
 
 
-@pytest.mark.parametrize("parse", [evaluate._parse, parse_label])
+@pytest.mark.parametrize("parse", [evaluate_command._parse, parse_label])
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -46,7 +47,7 @@ def test_window_ms_takes_whole_windows_one_after_another(parse, arguments, expec
     assert windows_of(parse, *arguments) == expected
 
 
-@pytest.mark.parametrize("parse", [evaluate._parse, parse_label])
+@pytest.mark.parametrize("parse", [evaluate_command._parse, parse_label])
 def test_help_says_which_windows_come_of_it(parse, capsys):
     with pytest.raises(SystemExit):
         parse(["--help"])

@@ -10,7 +10,7 @@ import pytest
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.readers import open_recording
 
 AEDAT4 = Path(__file__).parent / "data" / "events.aedat4"  # 200 events, written by dv-processing
 

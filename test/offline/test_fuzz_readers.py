@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.readers.base import to_ns
+from emoflow_ros.readers import open_recording
+from emoflow_ros.readers.reader_base import to_ns
 
 SCRIPT = Path(__file__).parent / "fuzz_readers.py"
 FILES = 20

@@ -9,8 +9,8 @@ import pytest
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.readers.hdf5_time import Clues, unit_ns
+from emoflow_ros.readers import open_recording
+from emoflow_ros.readers.hdf5_columns import Clues, unit_ns
 
 N = 5000
 STEP_US = 37
@@ -136,7 +136,7 @@ def test_other_names_signs_and_an_offset(tmp_path, events):
 
 def test_since_enters_in_the_middle(tmp_path, events, monkeypatch):
     path = write(tmp_path / "a.h5", events, "/", events.t // 1000)
-    monkeypatch.setattr("emoflow_ros.offline.readers.hdf5_columns.CHUNK", 700)
+    monkeypatch.setattr("emoflow_ros.readers.hdf5_columns.CHUNK", 700)
     since = int(events.t[4321])
     assert_equal(read_all(path, since), events[4321:])
     assert_equal(read_all(path), events)

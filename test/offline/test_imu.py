@@ -11,13 +11,13 @@ import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
+from emoflow_ros.commands.info import inspect, main
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.info import inspect, main
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.readers.bag import open_bag, read_messages
-from emoflow_ros.offline.readers.bag_imu import IMU_TYPE, choose_imu, read_imu
-from emoflow_ros.offline.readers.imu import Imu
+from emoflow_ros.readers import open_recording
+from emoflow_ros.readers.bag import IMU_TYPE, choose_imu, read_imu
+from emoflow_ros.readers.bag_files import open_bag, read_messages
+from emoflow_ros.readers.reader_base import Imu
 
 AEDAT4 = Path(__file__).parent / "data" / "events.aedat4"
 N = 50

@@ -8,8 +8,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.offline import label, label_chunks
-from emoflow_ros.offline.estimates import read_estimates
+from emoflow_ros.evaluation.estimates_file import read_estimates
+from emoflow_ros.labels import label_chunks, label_command
 
 MS, SECOND = 1_000_000, 1_000_000_000
 
@@ -81,7 +81,7 @@ def call(monkeypatch, out, *arguments):
     """Chunks of 4 windows of 50 ms and a margin of 2, unless told otherwise."""
     cut = ("--window-ms", 50, "--stride-ms", 50, "--chunk-s", 0.2, "--margin-s", 0.1)
     monkeypatch.setattr("sys.argv", ["label", *map(str, (*cut, *arguments, "--out", out))])
-    return label.main()
+    return label_command.main()
 
 
 def rows(path, *names):
@@ -243,7 +243,7 @@ def test_recording_that_changed_is_not_resumed(monkeypatch, tmp_path, ecd, capsy
 
 def test_recordings_that_fail_do_not_cost_the_others(monkeypatch, tmp_path, ecd, capsys):
     """Missing; without calibration; too short; damaged where only one of its chunks sees it."""
-    monkeypatch.setattr("emoflow_ros.offline.readers.ecd._CHUNK_BYTES", 400)
+    monkeypatch.setattr("emoflow_ros.readers.ecd._CHUNK_BYTES", 400)
     times = 1 + np.arange(3000) / 1000
     times[500] = 1.2
     bad = ecd("unsorted", times=times), ecd("short", seconds=0.04), tmp_path / "none", ecd("blind")

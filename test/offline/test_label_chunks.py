@@ -5,8 +5,8 @@ import pytest
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
-from emoflow_ros.offline.label_chunks import Chunk, _windows, event_span, plan_chunks
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.labels.label_chunks import Chunk, _windows, event_span, plan_chunks
+from emoflow_ros.readers import open_recording
 
 MS = 1_000_000
 START = 1_500_000_000_123_456_789

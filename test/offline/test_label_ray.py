@@ -15,10 +15,10 @@ import pytest
 
 from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline import label
-from emoflow_ros.offline.estimates import read_estimates
-from emoflow_ros.offline.label_workers import ray_workers
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.evaluation.estimates_file import read_estimates
+from emoflow_ros.labels import label_command
+from emoflow_ros.labels.label_chunks import ray_workers
+from emoflow_ros.readers import open_recording
 
 ROOT = Path(__file__).parents[2]
 WHOLE = ("--set", "window.max_displacement_px=0", "--set", "estimator.max_doubt=1")
@@ -76,11 +76,11 @@ class Killer(threading.Thread):
 @pytest.mark.timeout(300)
 def test_labels_are_the_same_although_a_worker_is_killed(monkeypatch, tmp_path, calm_bag, cluster):
     monkeypatch.setattr("sys.argv", ["label", *arguments(calm_bag, tmp_path / "serial")])
-    assert label.main() == 0
+    assert label_command.main() == 0
 
     killer = Killer(tmp_path / "ray" / f"{calm_bag.data.name}.parts")
     killer.start()
-    command = [sys.executable, "-m", "emoflow_ros.offline.label"]
+    command = [sys.executable, "-m", "emoflow_ros.labels.label_command"]
     options = arguments(calm_bag, tmp_path / "ray", "--ray", cluster)
     done = subprocess.run(
         [*command, *options], capture_output=True, text=True, cwd=ROOT, check=False

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.readers import bag as bag_reader
-from emoflow_ros.offline.readers import mvsec, open_recording
+from emoflow_ros.readers import bag as bag_reader
+from emoflow_ros.readers import mvsec, open_recording
 
 START_NS, STEP_NS, COUNT = 1_000_000_000, 1_000_000, 20_000  # 20 s at 1 kHz
 

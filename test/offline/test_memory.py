@@ -11,12 +11,12 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.windows import NS_PER_MS, WindowPolicy, WindowSlicer
-from emoflow_ros.offline.checkpoint import Progress
-from emoflow_ros.offline.estimates import EstimatesWriter, read_estimates
-from emoflow_ros.offline.evaluation import proceed
-from emoflow_ros.offline.truth import Truth
-from emoflow_ros.offline.truth.poses import PoseTrack
-from emoflow_ros.offline.truth.rotation import ConstantRotation
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
+from emoflow_ros.evaluation.run_progress import Progress
+from emoflow_ros.evaluation.window_run import proceed
+from emoflow_ros.truth import Truth
+from emoflow_ros.truth.ground_truth import PoseTrack
+from emoflow_ros.truth.text_truth import ConstantRotation
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 RATE = np.array([0.1, -0.2, 0.05])

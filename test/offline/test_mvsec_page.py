@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.bags import data_topics, write_bag
 from emoflow_ros.simulation.imu import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder

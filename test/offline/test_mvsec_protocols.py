@@ -20,13 +20,13 @@ from synthetic import (
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
-from emoflow_ros.offline.arguments import Source
-from emoflow_ros.offline.evaluate import main
-from emoflow_ros.offline.evaluation import evaluate
-from emoflow_ros.offline.protocols import make_plan
-from emoflow_ros.offline.sequences import SEQUENCES, Sequence
-from emoflow_ros.offline.summary import summarise, summarise_by_truth
-from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES, BenchmarkSequence
+from emoflow_ros.evaluation.evaluate_command import main
+from emoflow_ros.evaluation.protocols import make_plan
+from emoflow_ros.evaluation.recording_options import Source
+from emoflow_ros.evaluation.summary import summarise, summarise_by_truth
+from emoflow_ros.evaluation.window_run import evaluate
+from emoflow_ros.truth import load_truth
 
 FRAMES = [START + (20 + 50 * k) * NS_PER_MS for k in range(10)]
 STAMPS = [START + (7 + 50 * k) * NS_PER_MS for k in range(11)]
@@ -55,8 +55,8 @@ def mvsec(tmp_path_factory, world):
     }
 
 
-def sequence(camera: Camera) -> Sequence:
-    return Sequence("synthetic", camera, FIRST, LAST, rows=ROWS, clip_events=CLIP)
+def sequence(camera: Camera) -> BenchmarkSequence:
+    return BenchmarkSequence("synthetic", camera, FIRST, LAST, rows=ROWS, clip_events=CLIP)
 
 
 class Latest(Known):

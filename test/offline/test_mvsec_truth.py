@@ -8,9 +8,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.truth import load_truth
-from emoflow_ros.offline.truth.mvsec_hdf5 import load_mvsec_truth
-from emoflow_ros.offline.truth.odom_npz import SmoothedOdometry
+from emoflow_ros.truth import load_truth
+from emoflow_ros.truth.mvsec_truth import SmoothedOdometry, load_mvsec_truth
 
 CAMERA = Camera(6, 4, 5.0, 5.0, 2.5, 1.5)
 SPEED = 0.5

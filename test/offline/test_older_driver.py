@@ -13,7 +13,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.readers import open_recording
 
 sys.path.append(str(Path(__file__).parents[1] / "msg_adapters"))
 from encoders import ENCODERS, payload

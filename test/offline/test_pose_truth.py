@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.truth import load_truth, truth_beside
-from emoflow_ros.offline.truth.bag import load_bag_truth
-from emoflow_ros.offline.truth.tum import is_tum, load_poses
+from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import load_truth, truth_beside
+from emoflow_ros.truth.bag_truth import load_bag_truth
+from emoflow_ros.truth.text_truth import is_tum, load_poses
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 RATE, SPEED = np.array([0.2, -0.4, 0.1]), np.array([0.3, 0.0, 0.1])

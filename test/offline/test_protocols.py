@@ -7,17 +7,17 @@ import pytest
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.intervals import CroppedSlicer
-from emoflow_ros.offline.protocols import (
-    CroppedFlow,
-    adapt_windows,
-    frame_intervals,
-    make_plan,
+from emoflow_ros.evaluation.benchmark_sequences import (
+    PUBLISHED,
+    SEQUENCES,
+    BenchmarkSequence,
+    find_sequence,
 )
-from emoflow_ros.offline.published import PUBLISHED
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.sequences import SEQUENCES, Sequence, find_sequence
-from emoflow_ros.offline.truth import TrueFlow, Truth
+from emoflow_ros.evaluation.protocols import adapt_windows, frame_intervals, make_plan
+from emoflow_ros.evaluation.slicers import CroppedSlicer
+from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import TrueFlow, Truth
+from emoflow_ros.truth.flow_maps import CroppedFlow
 
 INDOOR = SEQUENCES["indoor_flying1"].camera
 
@@ -31,14 +31,14 @@ def test_every_frame_starts_an_interval():
 
 def test_first_and_last_frame_of_a_sequence():
     stamps = np.arange(8) * 10
-    some = Sequence("some", INDOOR, first_frame=2, last_frame=4)
+    some = BenchmarkSequence("some", INDOOR, first_frame=2, last_frame=4)
     assert frame_intervals(stamps, 1, some) == [(20, 30), (30, 40), (40, 50)]
     assert frame_intervals(stamps, 4, some) == [(20, 60), (30, 70)]
 
 
 def test_segment_holds_whole_intervals():
     stamps = np.arange(6) * NS_PER_S
-    some = Sequence("some", INDOOR, segment_s=(1.0, 4.0))
+    some = BenchmarkSequence("some", INDOOR, segment_s=(1.0, 4.0))
     seconds = [(a // NS_PER_S, b // NS_PER_S) for a, b in frame_intervals(stamps, 2, some)]
     assert seconds == [(1, 3), (2, 4)]
 
@@ -90,7 +90,7 @@ def test_windows_by_motion_reach_back_less_far_from_intervals(protocol, clips, b
 
 
 def test_published_figures_stand_beside_dt4_only(mvsec_file):
-    sequence = Sequence("indoor_flying1", INDOOR)
+    sequence = BenchmarkSequence("indoor_flying1", INDOOR)
     with open_recording(mvsec_file) as recording:
         plans = [
             make_plan(protocol, recording, Truth(), WindowPolicy(), sequence)

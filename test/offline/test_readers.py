@@ -8,7 +8,7 @@ import pytest
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording, require_camera
+from emoflow_ros.readers import open_recording, require_camera
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 CALIB = "20 20 16 12 0.1 0 0 0 0"
@@ -181,7 +181,7 @@ def test_ecd_folder(tmp_path):
 
 
 def test_ecd_is_read_in_chunks_without_loss(tmp_path, monkeypatch):
-    monkeypatch.setattr("emoflow_ros.offline.readers.ecd._CHUNK_BYTES", 64)
+    monkeypatch.setattr("emoflow_ros.readers.ecd._CHUNK_BYTES", 64)
     lines = [f"{k * 1e-3:.6f} {k} 1 1" for k in range(100)]
     with open_recording(ecd_folder(tmp_path / "e", lines)) as recording:
         chunks = list(recording.event_chunks())

@@ -8,13 +8,13 @@ from benchmarks.offline import figures, table
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import WindowSlicer
-from emoflow_ros.offline.estimates import EstimatesWriter
-from emoflow_ros.offline.evaluation import evaluate
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter
+from emoflow_ros.evaluation.window_run import evaluate
+from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.writer import OutputPaths, write_recording
+from emoflow_ros.truth import load_truth
 
 SECONDS = 2.0
 MOST_PROCESSOR_SECONDS = 4 * SECONDS  # one core without company takes about real time

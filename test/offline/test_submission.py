@@ -11,9 +11,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.flow_png import read_flow_png, write_flow_png
-from emoflow_ros.offline.submission import Submission
-from emoflow_ros.offline.truth.dsec import DsecInterval
+from emoflow_ros.truth.dsec_flow import DsecInterval, Submission, read_flow_png, write_flow_png
 
 RECTIFIED = Camera(640, 480, 569.76, 569.76, 335.1, 221.24)
 

@@ -7,12 +7,10 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.truth.base import TrueFlow
-from emoflow_ros.offline.truth.depth import DepthFlowMaps
-from emoflow_ros.offline.truth.flow_maps import PropagatedFlow
-from emoflow_ros.offline.truth.mvsec_npz import MvsecFlowMaps
-from emoflow_ros.offline.truth.poses import PoseTrack, PoseTwist
-from emoflow_ros.offline.truth.rotation import ConstantRotation
+from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow
+from emoflow_ros.truth.ground_truth import PoseTrack, PoseTwist, TrueFlow
+from emoflow_ros.truth.mvsec_truth import MvsecFlowMaps
+from emoflow_ros.truth.text_truth import ConstantRotation
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 LENS = Camera(64, 48, 60.0, 60.0, 31.5, 23.5, "plumb_bob", (-0.3, 0.1, 0.001, 0.0))

@@ -5,11 +5,11 @@ import pytest
 
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.truth import load_truth
+from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.cameras import davis346
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.writer import OutputPaths, write_recording
+from emoflow_ros.truth import load_truth
 
 START = 100 * NS_PER_S
 

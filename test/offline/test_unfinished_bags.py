@@ -12,8 +12,8 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.readers import open_recording
-from emoflow_ros.offline.readers.bag import open_bag
+from emoflow_ros.readers import open_recording
+from emoflow_ros.readers.bag_files import open_bag
 
 CHUNK = 2000  # bytes: several chunks
 BATCHES = 12

@@ -14,11 +14,11 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.readers.imu import Imu
-from emoflow_ros.offline.truth import Truth
-from emoflow_ros.offline.truth.poses import PoseTrack
+from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.scenes import build_scene
 from emoflow_ros.simulation.truth import GroundTruth
+from emoflow_ros.truth import Truth
+from emoflow_ros.truth.ground_truth import PoseTrack
 
 S = 1_000_000_000
 START = 1_500_000_000 * S

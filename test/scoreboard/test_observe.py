@@ -16,9 +16,9 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.offline.truth import TrueFlow, TrueTwist, Truth
-from emoflow_ros.offline.truth.rotation import ConstantRotation
 from emoflow_ros.simulation.recording import simulate
+from emoflow_ros.truth import TrueFlow, TrueTwist, Truth
+from emoflow_ros.truth.text_truth import ConstantRotation
 
 MS = 1_000_000
 CAMERA = Camera(96, 72, 80.0, 80.0, 48.0, 36.0)

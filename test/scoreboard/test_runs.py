@@ -15,7 +15,7 @@ from benchmarks.scoreboard.verdicts import CRITERIA, judge
 from benchmarks.scoreboard.windows import make_windows
 from emoflow_ros.core.config import load_config
 from emoflow_ros.errors import InputError
-from emoflow_ros.offline.document import write_json
+from emoflow_ros.report.documents import write_json
 
 
 def recording(name, w_rms, *, accurate=True, v_median=5.0):

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_readings import GyroReadings
-from emoflow_ros.offline.readers import open_recording
+from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.bags import data_topics, write_bag
 from emoflow_ros.simulation.imu import PERFECT, ImuModel, measure_rotation, simulate_imu

@@ -1,0 +1,215 @@
+"""The command `replay`: it publishes a bag of any kind on ROS topics, at its pace."""
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosgraph_msgs.msg import Clock
+from tqdm import tqdm
+
+from emoflow_ros.cli import run
+from emoflow_ros.commands.replay_messages import Pace, Ros1Converter
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
+from emoflow_ros.node.topic_search import import_message_type
+from emoflow_ros.readers.bag_files import open_bag, read_messages
+from msg_adapters import supported_types
+
+_EPILOG = """\
+examples:
+  replay flight_data.bag
+  replay recording/ --rate 0.5 --clock --wait
+  replay flight_data.bag --topics /davis/left/events --ros-args -r /davis/left/events:=/events
+"""
+_DEPTH = 1000
+_WAIT_S = 10.0
+_SETTLE_S = 0.3
+_FLUSH_S = 2
+_LATE_S = 0.05
+_CLOCK_PERIOD = 10 * NS_PER_MS
+_BAR = "{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}]"
+
+
+class Player:
+    """Publishes a bag's messages in order of their log times.
+
+    Args:
+        node: to publish with.
+        path, reader: the bag, opened.
+        topics: what to publish; None for everything that can be.
+        with_clock: whether to publish /clock.
+
+    Attributes:
+        published: messages so far.
+        lag_s: the longest delay of a message.
+
+    Raises:
+        InputError: a topic is not in the bag, or nothing in it can be published.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        path: Path,
+        reader: AnyReader,
+        *,
+        topics: Sequence[str] | None,
+        with_clock: bool,
+    ) -> None:
+        self.published = 0
+        self.lag_s = 0.0
+        self._path = path
+        self._reader = reader
+        self._connections = _select(path, reader, topics)
+        self._publishers = self._advertise(node)
+        self._converter = None if reader.is2 else Ros1Converter(self._connections)
+        self._clock = node.create_publisher(Clock, "/clock", 10) if with_clock else None
+
+    def wait_for_subscribers(self, timeout_s: float) -> None:
+        """Wait until somebody listens to the events, or to anything if there are no events."""
+        events = {c.topic for c in self._connections if c.msgtype in supported_types()}
+        wanted = [self._publishers[t] for t in events or self._publishers]
+        deadline = time.monotonic() + timeout_s
+        while not all(p.get_subscription_count() for p in wanted):
+            if time.monotonic() > deadline:
+                print(f"nobody listens after {timeout_s:g} s: starting anyway", file=sys.stderr)
+                return
+            time.sleep(0.01)
+        time.sleep(_SETTLE_S)  # topics of one node are matched one after another
+
+    def play(self, rate: float) -> None:
+        """Publish the bag once; `rate` 2 is twice as fast as it was recorded.
+
+        Raises:
+            InputError: damaged data.
+        """
+        begin, end = self._reader.start_time, self._reader.end_time
+        pace = Pace(rate)
+        tick = begin
+        with tqdm(total=(end - begin) / NS_PER_S, bar_format=_BAR) as bar:
+            for connection, t, data in read_messages(self._path, self._reader, self._connections):
+                cdr = self._to_cdr(connection, data)
+                pace.wait((t - begin) / NS_PER_S)
+                if self._clock is not None and t >= tick:
+                    sec, nanosec = divmod(t, NS_PER_S)
+                    self._clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+                    tick = t + _CLOCK_PERIOD
+                self._publishers[connection.topic].publish(cdr)
+                self.published += 1
+                bar.update((t - begin) / NS_PER_S - bar.n)
+        self.lag_s = max(self.lag_s, pace.lag_s)
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=_FLUSH_S))
+
+    def _to_cdr(self, connection: Connection, data: bytes) -> bytes:
+        if self._converter is None:
+            return data
+        return self._converter.to_cdr(data, connection.msgtype)
+
+    def _advertise(self, node: Node) -> dict[str, Publisher]:
+        """Make the publishers, and say which topics are left out."""
+        publishers = {}
+        refused = []
+        for connection in self._connections:
+            try:
+                message_type = import_message_type(connection.msgtype)
+            except InputError as error:
+                refused.append(connection)
+                print(f"left out: {connection.topic}: {error}", file=sys.stderr)
+                continue
+            qos = QoSProfile(depth=_DEPTH)
+            if connection.topic.endswith("/tf_static"):
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+            publishers[connection.topic] = node.create_publisher(
+                message_type, connection.topic, qos
+            )
+        self._connections = [c for c in self._connections if c not in refused]
+        if not publishers:
+            raise InputError(self._path, "no topic can be published", "install the message types")
+        return publishers
+
+
+def _select(path: Path, reader: AnyReader, topics: Sequence[str] | None) -> list[Connection]:
+    """Return the bag's connections, or those of the topics asked for."""
+    there = {c.topic for c in reader.connections}
+    missing = sorted(set(topics or ()) - there)
+    if missing or not there:
+        wrong = f"no topic {missing[0]}" if missing else "no messages"
+        listing = ", ".join(sorted(there)) or "nothing"
+        raise InputError(path, wrong, f"the bag holds {listing}")
+    return [c for c in reader.connections if topics is None or c.topic in topics]
+
+
+def main() -> int:
+    """Run the command line."""
+    return run(_main)
+
+
+def _main() -> None:
+    args = _parse()
+    with open_bag(args.bag) as reader:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            with refused_in_one_line():
+                rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+                node = rclpy.create_node("replay")
+            player = Player(node, args.bag, reader, topics=args.topics, with_clock=args.clock)
+            if args.wait:
+                player.wait_for_subscribers(args.wait)
+            player.play(args.rate)
+            while args.loop:
+                player.play(args.rate)
+        finally:
+            try_shutdown()
+    late = f", up to {player.lag_s * 1e3:.0f} ms late" if player.lag_s > _LATE_S else ""
+    print(f"{player.published} messages published{late}")
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="replay",
+        description="Publish the messages of a bag (ROS 1 .bag, rosbag2 sqlite3 or mcap) on ROS 2 "
+        "topics, at the pace of their recording. ROS 1 messages are converted; types that are "
+        "not installed are listed and left out. Ends with 0, 2 for bad input, 130 for Ctrl-C.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("bag", type=Path, metavar="BAG", help=".bag file, rosbag2 folder, .mcap or .db3 file")
+    add("--rate", type=float, default=1.0, metavar="R", help="pace: 2 is twice as fast")
+    add("--clock", action="store_true", help="publish /clock for nodes with use_sim_time")
+    add("--topics", nargs="+", metavar="TOPIC", help="replay these topics only")
+    add("--loop", action="store_true", help="start again at the end, until Ctrl-C")
+    add(
+        "--wait",
+        type=float,
+        nargs="?",
+        const=_WAIT_S,
+        default=0.0,
+        metavar="S",
+        help=f"wait up to S seconds (default: {_WAIT_S:g}) until somebody listens to the events",
+    )
+    args = parser.parse_args(own_arguments())
+    if not 0.001 <= args.rate <= 1000:
+        raise InputError("--rate", f"{args.rate:g}", "give a rate in [0.001, 1000]")
+    if not 0 <= args.wait <= 3600:
+        raise InputError("--wait", f"{args.wait:g} s", "give a time in [0, 3600] s")
+    return args
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,4 @@
+"""The command `evaluate`: protocols, metrics, results, summary, ablation and comparison.
+
+It estimates a recording window by window and compares the estimates with ground truth.
+"""

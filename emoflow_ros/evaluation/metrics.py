@@ -1,0 +1,266 @@
+"""Error measures of flow, egomotion and point tracks, their confidence intervals and significance.
+
+EPE and outliers are defined as in MVSEC's evaluation (Zhu et al., RSS 2018), the angular error in
+space-time as in Barron et al., IJCV 1994. Confidence intervals and significance come from
+resampling windows (Efron and Tibshirani, 1993). Tracks are those of `core.tracks`.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.tracks import Points, Tracker, Tracks, interpolate
+from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.truth import FlowSource, Truth
+
+Vectors = NDArray[np.float64]
+Flow = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+Values = NDArray[np.float64]
+Statistic = Callable[[Values], float]
+
+# An outlier, in px (%Out of the MVSEC benchmark).
+OUTLIER_PX = 3.0
+_RESAMPLES = 1000
+_TAILS = (2.5, 97.5)  # percent: a 95 % interval
+_RECENT = 6  # windows whose tracks are kept for pictures
+
+
+def event_mask(events: Events, width: int, height: int) -> Mask:
+    """Mark the pixels that hold at least one event, (height, width)."""
+    mask = np.zeros((height, width), np.bool_)
+    mask[events.y, events.x] = True
+    return mask
+
+
+def known_flow_mask(truth: Flow) -> Mask:
+    """Mark the pixels (H, W) whose true flow (H, W, 2) counts: finite, |u| > 0 and |v| > 0.
+
+    MVSEC's files hold zeros where nothing is known, hence the second condition.
+    """
+    u, v = truth[..., 0], truth[..., 1]
+    return np.asarray(np.isfinite(u) & np.isfinite(v) & (u != 0) & (v != 0))
+
+
+@dataclass(frozen=True)
+class FlowErrors:
+    """Errors of one window's displacement over the pixels that were compared.
+
+    Attributes:
+        epe_px: mean end-point error, px.
+        pe1, pe2, pe3: share of pixels with an end-point error above 1, 2 and 3 px, percent;
+            pe3 is %Out.
+        ae_deg: mean space-time angle between (u, v, 1) and the true (u, v, 1), degrees.
+        truth_px: mean length of the true displacement, px.
+        pixels: how many pixels were compared.
+    """
+
+    epe_px: float
+    pe1: float
+    pe2: float
+    pe3: float
+    ae_deg: float
+    truth_px: float
+    pixels: int
+
+
+def flow_errors(flow: Flow, truth: Flow) -> FlowErrors | None:
+    """Compare displacements with the true ones, both (N, 2) px: one row per compared pixel.
+
+    Returns:
+        None where no pixel has an estimate.
+    """
+    pixels, epe, above_1, above_2, above_3, angle, length = _sums(flow, truth)
+    if not pixels:
+        return None
+    return FlowErrors(
+        epe_px=epe / pixels,
+        pe1=100.0 * above_1 / pixels,
+        pe2=100.0 * above_2 / pixels,
+        pe3=100.0 * above_3 / pixels,
+        ae_deg=math.degrees(angle / pixels),
+        truth_px=length / pixels,
+        pixels=pixels,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _sums(flow: Flow, truth: Flow) -> tuple[int, float, int, int, int, float, float]:
+    """Count the pixels with an estimate and add up what `flow_errors` averages; angles in rad."""
+    pixels = above_1 = above_2 = above_3 = 0
+    epe = angle = length = 0.0
+    for i in range(len(flow)):
+        u, v, a, b = flow[i, 0], flow[i, 1], np.float64(truth[i, 0]), np.float64(truth[i, 1])
+        if not (np.isfinite(u) and np.isfinite(v)):
+            continue
+        error = math.sqrt((u - a) ** 2 + (v - b) ** 2)
+        sine = math.sqrt((v - b) ** 2 + (a - u) ** 2 + (u * b - v * a) ** 2)
+        pixels += 1
+        epe += error
+        above_1 += error > 1.0
+        above_2 += error > 2.0
+        above_3 += error > OUTLIER_PX
+        angle += math.atan2(sine, u * a + v * b + 1.0)
+        length += math.sqrt(a * a + b * b)
+    return pixels, epe, above_1, above_2, above_3, angle, length
+
+
+def end_point_error(flow: Flow, truth: Flow) -> Flow:
+    """Length of the difference of two displacements (..., 2), px."""
+    u, v = flow[..., 0] - truth[..., 0], flow[..., 1] - truth[..., 1]
+    return np.asarray(np.sqrt(u * u + v * v))
+
+
+def angle_deg(a: Vectors, b: Vectors) -> Vectors:
+    """Angle between vectors (..., 3) in degrees, 0 to 180, signs kept; NaN for a zero vector.
+
+    Serves as direction error of v and as axis error of w.
+    """
+    sine = np.linalg.norm(np.cross(a, b), axis=-1)
+    cosine = (a * b).sum(axis=-1)
+    angle = np.degrees(np.arctan2(sine, cosine))
+    is_zero = (np.abs(a).max(axis=-1) == 0) | (np.abs(b).max(axis=-1) == 0)
+    return np.asarray(np.where(is_zero, np.nan, angle))
+
+
+def bootstrap_interval(values: Values, statistic: Statistic) -> tuple[float, float]:
+    """95 % percentile interval of a statistic, always the same for the same values.
+
+    Args:
+        values: (N, ...), the rows that are resampled.
+        statistic: from such rows to the figure.
+
+    Returns:
+        Lower and upper end; NaN with fewer than two rows.
+    """
+    if len(values) < 2:
+        return float("nan"), float("nan")
+    low, high = np.percentile(_draws(values, statistic), _TAILS)
+    return float(low), float(high)
+
+
+def paired_p_value(differences: Values) -> float:
+    """Two-sided p-value of a mean difference (N,) of pairs, against the mean being zero.
+
+    The share of resampled means, of the differences less their mean, that are at least as far
+    from zero as the mean itself; never below 1 / 1001. NaN with fewer than two pairs.
+    """
+    if len(differences) < 2:
+        return float("nan")
+    mean = differences.mean()
+    draws = _draws(differences - mean, np.mean)
+    return float((1 + (np.abs(draws) >= abs(mean)).sum()) / (1 + _RESAMPLES))
+
+
+def _draws(values: Values, statistic: Statistic) -> Values:
+    rng = np.random.default_rng(0)
+    rows = len(values)
+    return np.array([statistic(values[rng.integers(rows, size=rows)]) for _ in range(_RESAMPLES)])
+
+
+@dataclass(frozen=True)
+class TrackErrors:
+    """How far the tracks are from the truth at a window's end.
+
+    Attributes:
+        end_px: mean distance from where the points truly are, px.
+        true_px: mean length of the true displacement since the tracks began, px.
+        age_s: mean time since they began, s.
+        points: how many tracks have a truth.
+    """
+
+    end_px: float
+    true_px: float
+    age_s: float
+    points: int
+
+
+@dataclass(frozen=True)
+class ComparedTracks(Tracks):
+    """The tracks of P points through one window, and the truth.
+
+    Attributes:
+        true_ends: (2, P, 2) px, where the points of these tracks truly are at the window's
+            start and end; NaN where unknown.
+        errors: of the ends; None where no truth is known.
+    """
+
+    true_ends: Points
+    errors: TrackErrors | None
+
+
+class TrackComparer:
+    """Carry points through the windows of a recording, and their true positions beside them.
+
+    Args:
+        count: number of points, spread over the image.
+        camera: of the recording.
+
+    Attributes:
+        recent: the last windows' tracks without a gap between them, newest last.
+    """
+
+    def __init__(self, count: int, camera: Camera) -> None:
+        self._tracker = Tracker(count, camera.width, camera.height)
+        self._begun = np.zeros(count, np.int64)
+        self.recent: deque[ComparedTracks] = deque(maxlen=_RECENT)
+
+    def follow(self, estimate: Estimate, truth: Truth) -> ComparedTracks:
+        """Carry the points through the next window."""
+        found = self._tracker.follow(estimate.flow, estimate.t_start, estimate.t_end)
+        if estimate.flow is None:
+            self.recent.clear()
+            unknown = np.full_like(found.positions[:2], np.nan)
+            return ComparedTracks(found.times, found.positions, found.ids, unknown, None)
+        true_start = self._true_start(found)
+        true_end = _truly_carried(true_start, truth.flows, estimate.t_start, estimate.t_end)
+        errors = self._errors(found.positions[-1], true_end, estimate.t_end)
+        ends = np.stack([true_start, true_end])
+        tracks = ComparedTracks(found.times, found.positions, found.ids, ends, errors)
+        self.recent.append(tracks)
+        return tracks
+
+    def _true_start(self, found: Tracks) -> Points:
+        """Where the points truly are at a window's start; a new track begins where its point is."""
+        start, t = found.positions[0], int(found.times[0])
+        carried = np.isin(found.ids, self.recent[-1].ids if self.recent else [])
+        if carried.any():
+            last = self.recent[-1]
+            true = interpolate(last.times[[0, -1]], last.true_ends, t)
+            start = np.where(carried[:, None], true, start)
+        else:
+            self.recent.clear()
+        self._begun[~carried] = t
+        return start
+
+    def _errors(self, end: Points, true_end: Points, t_end: int) -> TrackErrors | None:
+        known = np.isfinite(end).all(axis=-1) & np.isfinite(true_end).all(axis=-1)
+        if not known.any():
+            return None
+        return TrackErrors(
+            end_px=float(np.linalg.norm((end - true_end)[known], axis=-1).mean()),
+            true_px=float(np.linalg.norm((true_end - self._tracker.first)[known], axis=-1).mean()),
+            age_s=float((t_end - self._begun[known]).mean() / NS_PER_S),
+            points=int(known.sum()),
+        )
+
+
+def _truly_carried(points: Points, flows: FlowSource | None, t0: int, t1: int) -> Points:
+    """Move points (P, 2) by the true flow of their nearest pixels; NaN where it is unknown."""
+    flow = flows.displacement(t0, t1) if flows else None
+    if flow is None:
+        return np.full_like(points, np.nan)
+    height, width = flow.valid.shape
+    at = np.rint(np.nan_to_num(points, nan=-1.0)).astype(np.intp)
+    inside = ((at >= 0) & (at < (width, height))).all(axis=-1)
+    x, y = np.where(inside[:, None], at, 0).T
+    known = inside & flow.valid[y, x]
+    return np.where(known[:, None], points + flow.displacement[y, x], np.nan)

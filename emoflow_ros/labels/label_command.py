@@ -1,0 +1,147 @@
+"""The command `label`: flow labels of whole data sets, for training."""
+
+import argparse
+import math
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+from emoflow_ros import cli
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation.benchmark_sequences import find_sequence
+from emoflow_ros.evaluation.recording_options import (
+    Source,
+    add_configuration_options,
+    add_recording_options,
+    make_folder,
+    overrides,
+    positive,
+)
+from emoflow_ros.labels.label_chunks import LOCAL, ray_workers, run_here
+from emoflow_ros.labels.label_run import Settings, label_all
+
+_EXIT_SOME_FAILED = 1
+_EPILOG = """\
+examples:
+  label recording.bag --calib camera.yaml --out labels
+  label mvsec/*_data.bag --sequence indoor_flying1 --out labels --ray local
+  label dsec/train/* --out labels --ray 10.0.0.1:6379 --workers 64 --resume
+
+writes DIR/<name of INPUT>.h5 per recording (docs/labels.md).
+exit codes: 0 done, 1 some recordings could not be labelled (they are listed), 2 bad input,
+130 interrupted (finished chunks are kept: the same command with --resume continues).
+"""
+
+
+def main() -> int:
+    """Entry point."""
+    return cli.run(lambda: _run(_parse(sys.argv[1:])))
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="label",
+        description="Estimate dense optical flow and egomotion of many recordings, chunk by chunk "
+        "of time, as labels for training; on one machine or on a Ray cluster.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add(
+        "inputs",
+        type=Path,
+        nargs="+",
+        metavar="INPUT",
+        help="recordings of any format that `evaluate` reads",
+    )
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for the label files")
+    add_recording_options(parser)
+    add_configuration_options(parser)
+    add(
+        "--chunk-s",
+        type=_seconds,
+        default=30.0,
+        metavar="S",
+        help="length of a chunk of time, which one worker labels (default: 30)",
+    )
+    add(
+        "--margin-s",
+        type=_seconds,
+        default=1.0,
+        metavar="S",
+        help="what is estimated before each chunk to warm up, and not written (default: 1)",
+    )
+    add(
+        "--ray",
+        metavar="ADDRESS",
+        help=f"label on the Ray cluster at host:port; '{LOCAL}' starts one on this machine "
+        "(default: in this process)",
+    )
+    add(
+        "--workers",
+        type=positive,
+        metavar="N",
+        help="with --ray: chunks at once, one thread each (default: the cluster's cores)",
+    )
+    add("--resume", action="store_true", help="leave out the chunks that an earlier run finished")
+    return parser.parse_args(arguments)
+
+
+def _run(options: argparse.Namespace) -> int:
+    config = load_config(options.profile, overrides(options))
+    _check(options, config)
+    sequence = find_sequence(options.sequence) if options.sequence else None
+    sources = [Source(path, options.topic, options.calib, sequence) for path in options.inputs]
+    settings = Settings(config, options.chunk_s, options.margin_s, options.out, options.resume)
+    _refuse_equal_names([settings.target(source) for source in sources])
+    make_folder(options.out)
+    workers = ray_workers(options.ray, options.workers) if options.ray else nullcontext(run_here)
+    try:
+        with workers as run:
+            plans = label_all(sources, settings, run)
+    except KeyboardInterrupt:
+        print("interrupted; the same command with --resume continues", file=sys.stderr)
+        return cli.EXIT_INTERRUPTED
+    failed = [plan for plan in plans if plan.error]
+    if failed:
+        print(f"{len(failed)} of {len(plans)} recordings could not be labelled:", file=sys.stderr)
+        for plan in failed:
+            print(f"  {plan.source.path}: {plan.error}", file=sys.stderr)
+    return _EXIT_SOME_FAILED if failed else 0
+
+
+def _check(options: argparse.Namespace, config: Config) -> None:
+    if config.window.count:
+        raise InputError(
+            "window.count", "chunks of time need windows by time", "leave window.count at 0"
+        )
+    if config.imu.use != "off":
+        raise InputError("imu.use", "labels are made without a gyro", "leave it off")
+    if options.workers and not options.ray:
+        raise InputError("--workers", "there are none without --ray", "give --ray local")
+
+
+def _refuse_equal_names(targets: Sequence[Path]) -> None:
+    target, times = Counter(targets).most_common(1)[0]
+    if times > 1:
+        raise InputError(
+            target, f"would be the labels of {times} recordings", "label them into several --out"
+        )
+
+
+def _seconds(text: str) -> float:
+    """Parse a length of time of at least 0, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a number of seconds")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

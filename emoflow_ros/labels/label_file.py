@@ -1,0 +1,164 @@
+"""The file of flow labels: an estimates file with dense flow. docs/labels.md is its description."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.windows import Window
+from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation.estimates_columns import COLUMNS, TEXT, Column
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, lacking
+from emoflow_ros.evaluation.metrics import event_mask
+
+_HEAD = 1 << 20  # bytes
+_MORE = {
+    "note": Column((), TEXT, "", "the exception, where the estimator raised one"),
+    "chunk": Column((), "i8", "", "number of the chunk of time that the window was labelled in"),
+}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is the same for all windows of a recording, and decides its labels.
+
+    Attributes:
+        source: the recording as it was named.
+        camera: its camera.
+        configuration: option values by dotted name.
+        provenance: see docs/labels.md.
+    """
+
+    source: str
+    camera: Camera
+    configuration: dict[str, Any]
+    provenance: dict[str, Any]
+
+    def check(self, path: Path) -> None:
+        """See that an existing file was written for the same labels.
+
+        Raises:
+            InputError: it is of another run, of an earlier version, or damaged.
+        """
+        fix = "leave --resume out to start again"
+        mine = {
+            "camera": dataclasses.asdict(self.camera),
+            "configuration": self.configuration,
+            **self.provenance,
+        }
+        try:
+            with h5py.File(path) as file:
+                its = {name: json.loads(file.attrs[name]) for name in ("camera", "configuration")}
+                its |= json.loads(file.attrs["provenance"])
+                wrong = lacking(file, COLUMNS | _MORE)
+        except (OSError, KeyError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(path, f"cannot be read ({reason})", fix) from None
+        if wrong:
+            raise InputError(path, wrong, fix)
+        plain = json.loads(json.dumps(mine))
+        differ = [name for name in plain if its.get(name) != plain[name]]
+        if differ:
+            raise InputError(path, f"of a run with another {' and '.join(differ)}", fix)
+
+
+class LabelWriter:
+    """Write labels window by window. Use as a context manager.
+
+    Args:
+        path: the file; it is replaced.
+        header: what to write once.
+        chunk: the number that all windows get in the column `chunk`.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, header: Header, chunk: int) -> None:
+        self._camera = header.camera
+        self._chunk = chunk
+        size = header.camera.height, header.camera.width
+        valid = Column(size, "?", "", "pixels with an event of the window and an estimate", chunk=1)
+        self._writer = EstimatesWriter(
+            path,
+            camera=header.camera,
+            source=header.source,
+            configuration=header.configuration,
+            save_flow=True,
+            more={"valid": valid, **_MORE},
+            attributes={"provenance": json.dumps(header.provenance)},
+        )
+
+    def append(self, window: Window, estimate: Estimate, note: str) -> None:
+        """Add one window; `note` is the exception, if the estimator raised one."""
+        ok = estimate.status is Status.OK
+        events = window.since(estimate.t_start).events  # an estimate may be of its latest part
+        seen = event_mask(events, self._camera.width, self._camera.height)
+        more = {
+            "valid": seen if ok else np.zeros_like(seen),
+            "note": note,
+            "chunk": self._chunk,
+        }
+        self._writer.append(estimate, len(events), more=more)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+
+def fingerprint(path: Path) -> dict[str, Any]:
+    """Identify a recording without reading all of it.
+
+    Returns:
+        Its name, its size in bytes, and the SHA-256 of names, sizes and first MiB of its files.
+    """
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(path.parent)} {file.stat().st_size}\n".encode())
+        with file.open("rb") as stream:
+            digest.update(stream.read(_HEAD))
+    size = sum(file.stat().st_size for file in files)
+    return {"name": path.name, "bytes": size, "sha256_head": digest.hexdigest()}
+
+
+def merge(parts: Sequence[Path], target: Path) -> None:
+    """Join the rows of label files in the order given; the target appears in one step."""
+    partial = target.with_name(f"{target.name}.partial")
+    shutil.copyfile(parts[0], partial)
+    with h5py.File(partial, "r+") as whole:
+        for part in parts[1:]:
+            with h5py.File(part) as file:
+                for name, dataset in whole.items():
+                    _append(dataset, file[name])
+    os.replace(partial, target)
+
+
+def _append(dataset: h5py.Dataset, rows: h5py.Dataset) -> None:
+    start = len(dataset)
+    dataset.resize(start + len(rows), axis=0)
+    if dataset.chunks[0] > 1:
+        dataset[start:] = rows[:]
+        return
+    corner = (0,) * (dataset.ndim - 1)
+    for row in range(len(rows)):  # dense rows are copied as they are, compressed
+        filters, data = rows.id.read_direct_chunk((row, *corner))
+        dataset.id.write_direct_chunk((start + row, *corner), data, filters)

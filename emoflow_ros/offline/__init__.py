@@ -1,1 +1,0 @@
-"""Recordings, replay, evaluation, metrics and reports."""

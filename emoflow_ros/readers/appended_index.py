@@ -1,0 +1,102 @@
+"""A bag's file with an index appended to it in memory, and the chunks that the index lists."""
+
+import io
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+
+class FinishedFile(type(Path())):  # type: ignore[misc]
+    """A path that opens as the first `whole` bytes of its file, patched, and a `tail`."""
+
+    whole: int
+    patches: dict[int, bytes]
+    tail: bytes
+
+    def open(self, *args: Any, **kwargs: Any) -> Any:
+        """Open for reading bytes."""
+        return io.BufferedReader(_Finished(self))
+
+
+class _Finished(io.RawIOBase):
+    def __init__(self, path: FinishedFile) -> None:
+        self._file = io.FileIO(str(path))
+        self._path = path
+        self._at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        end = self._path.whole + len(self._path.tail)
+        self._at = max(0, offset + (0, self._at, end)[whence])
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        path, at = self._path, self._at
+        data: bytes | bytearray
+        if at >= path.whole:
+            data = path.tail[at - path.whole : at - path.whole + len(buffer)]
+        else:
+            self._file.seek(at)
+            data = bytearray(self._file.read(min(len(buffer), path.whole - at)))
+            for start, patch in path.patches.items():
+                low, high = max(at, start), min(at + len(data), start + len(patch))
+                if low < high:
+                    data[low - at : high - at] = patch[low - start : high - start]
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+class BagChunk(NamedTuple):
+    """A chunk; per connection or channel, where its index is and how many messages it has."""
+
+    at: int
+    end: int
+    start_time: int
+    end_time: int
+    counts: dict[int, int]
+    index_at: dict[int, int]
+    name: bytes  # of the compression
+    data: tuple[int, int]  # where it begins, bytes
+    size: int  # uncompressed
+
+
+def records_of_new(
+    stream: Any,
+    chunks: list[BagChunk],
+    decompress: Callable[[BagChunk, bytes], bytes],
+    records: Callable[[bytes], Iterator[tuple[int, bytes]]],
+) -> dict[int, bytes]:
+    """Collect the definitions of connections or channels, each from the first chunk with it."""
+    found: dict[int, bytes] = {}
+    for chunk in chunks:
+        if chunk.counts.keys() <= found.keys():
+            continue
+        stream.seek(chunk.data[0])
+        packed = stream.read(chunk.data[1])
+        found = dict(records(decompress(chunk, packed))) | found
+    return found
+
+
+def number(data: bytes) -> int:
+    """Read an unsigned little-endian number."""
+    return int.from_bytes(data, "little")
+
+
+def finished_file(file: Path, whole: int, patches: dict[int, bytes], tail: bytes) -> FinishedFile:
+    """Make the path of a file that ends after `whole` bytes, patched, and a tail."""
+    path = FinishedFile(file)
+    path.whole, path.patches, path.tail = whole, patches, tail
+    return path

@@ -1,0 +1,75 @@
+"""What the readers of HDF5 data sets share: a file is opened, and its damage is refused."""
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import h5py
+import hdf5plugin  # noqa: F401  registers the compressions that data sets use
+
+from emoflow_ros.errors import InputError
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+CHUNK = 1_000_000  # events
+# What h5py passes on of a file whose inner structure is damaged.
+_DAMAGED = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError)
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether the path is a file that starts like HDF5."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_SIGNATURE)) == _SIGNATURE
+
+
+def open_hdf5(path: Path) -> h5py.File:
+    """Open a file for reading.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        refuse(path, error)
+
+
+def holds(path: Path, names: Sequence[str]) -> bool:
+    """Whether the path is an HDF5 file with data sets of these names."""
+    if not is_hdf5(path):
+        return False
+    with open_hdf5(path) as file, damage_refused(path):
+        return all(isinstance(file.get(name), h5py.Dataset) for name in names)
+
+
+@contextmanager
+def damage_refused(path: Path) -> Iterator[None]:
+    """Turn what h5py raises while a damaged file is read into an InputError.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        yield
+    except _DAMAGED as error:
+        refuse(path, error)
+
+
+def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:
+    """Find the last row before a time, by bisection; row 0 where there is none.
+
+    Args:
+        rows: how many there are, in order of time.
+        time: the time of a row, ns.
+        since: the time, ns; None for row 0.
+    """
+    return 0 if since is None else max(0, bisect_left(range(rows), since, key=time) - 1)
+
+
+def refuse(path: Path, error: Exception) -> NoReturn:
+    """Raise the InputError of a file that cannot be read."""
+    reason = " ".join(str(error).split())
+    raise InputError(path, f"damaged HDF5 file ({reason})", "copy it again") from None
