@@ -12,7 +12,7 @@ from benchmarks.scoreboard.uncertainty import direction_errors, normalised_squar
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.offline.results import MIN_TRUE_SPEED, WindowResult
 from emoflow_ros.offline.truth import TrueFlow, TrueTwist
-from emoflow_ros.simulation.truth import GroundTruth
+from emoflow_ros.simulation.ground_truth import GroundTruth
 
 SCENES = ("calm", "forward", "mover", "noisy", "agile", "rotation", "driving")
 MIN_WINDOWS = 50  # per scene, for the targets to mean something

@@ -17,8 +17,8 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.offline.readers.imu import Imu
 from emoflow_ros.offline.truth import Truth
 from emoflow_ros.offline.truth.poses import PoseTrack
-from emoflow_ros.simulation.scenes import build_scene
-from emoflow_ros.simulation.truth import GroundTruth
+from emoflow_ros.simulation.ground_truth import GroundTruth
+from emoflow_ros.simulation.recording import build_scene
 
 S = 1_000_000_000
 START = 1_500_000_000 * S
