@@ -24,9 +24,9 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.topic_search import import_message_type
-from emoflow_ros.simulation.bags import Topic
 from emoflow_ros.simulation.messages import CAMERA_INFO, EVENT_ARRAY, MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording
+from emoflow_ros.simulation.recording_files import Topic
 from msg_adapters import make_decoder
 
 START = 1_500_000_000 * NS_PER_S

@@ -31,7 +31,7 @@ from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.windows import Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
-from emoflow_ros.simulation.cameras import davis346
+from emoflow_ros.simulation.recording import davis346
 from emoflow_ros.simulation.sensor import SensorModel
 
 SCENE, SEED = "calm", 0

@@ -38,9 +38,9 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
-from emoflow_ros.simulation.bags import write_bag
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import simulate
+from emoflow_ros.simulation.recording_files import write_bag
 
 LONGEST_SIMULATED_S = 10.0
 WARM_UP_WINDOWS = 3  # the first one is cold, the next ones meet what it leaves behind

@@ -22,9 +22,8 @@ from benchmarks._scoring import SCENES, verdict
 from emoflow_ros.cli import run
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
-from emoflow_ros.simulation.cameras import davis346
-from emoflow_ros.simulation.recording import simulate
-from emoflow_ros.simulation.writer import OutputPaths, write_recording
+from emoflow_ros.simulation.recording import davis346, simulate
+from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
 
 START = 1_500_000_000_000_000_000
 CORES = 2

@@ -4,12 +4,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numba import njit, types
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from msg_adapters.geometry import any_outside
 
 type Bytes = bytes | bytearray | memoryview | NDArray[np.uint8]
+
+_COORDINATES = types.Array(types.uint16, 1, "C", readonly=True)
 
 
 class EventMessage(NamedTuple):
@@ -93,7 +95,7 @@ def build_message(
     """
     count = len(events)
     # Two maxima cost less than a mask; the mask is for the rare stream that needs it.
-    if width and height and any_outside(events.x, events.y, width, height):
+    if width and height and _any_outside(events.x, events.y, width, height):
         events = events[events.inside(width, height)]
         dropped += count - len(events)
         count = len(events)
@@ -101,3 +103,13 @@ def build_message(
     statistics.events += count
     statistics.dropped_outside += dropped
     return EventMessage(events, width, height, *header, seq, dropped)
+
+
+@njit(types.boolean(_COORDINATES, _COORDINATES, types.int64, types.int64), cache=True, nogil=True)
+def _any_outside(x, y, width, height):  # type: ignore[no-untyped-def]
+    """Whether any of the coordinates x, y (N,) uint16 lies outside width x height pixels."""
+    x_max = y_max = np.uint16(0)
+    for i in range(len(x)):
+        x_max = max(x_max, x[i])
+        y_max = max(y_max, y[i])
+    return x_max >= width or y_max >= height

@@ -1,13 +1,18 @@
-"""Finds the decoder of a ROS type, and of an EventPacket's encoding."""
+"""Finds the decoder of a ROS type, and of an EventPacket's encoding.
 
-from collections.abc import Callable
+Every module in `formats/` and `encodings/` registers itself: a new one needs no change here.
+"""
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Iterator
 from functools import cache
+from types import ModuleType
 
 import msg_adapters.encodings
 import msg_adapters.formats
-from msg_adapters.discovery import modules_of
 from msg_adapters.message import Decoder, Statistics
-from msg_adapters.packet import PacketDecoder
+from msg_adapters.packet_decoder import PacketDecoder
 from msg_adapters.wire import DecodeError, Serialization
 
 type Factory = Callable[[Serialization], Decoder]
@@ -57,13 +62,19 @@ def make_packet_decoder(encoding: str, statistics: Statistics) -> PacketDecoder:
 @cache
 def packet_decoders() -> dict[str, type[PacketDecoder]]:
     """Collect ENCODING and DECODER of every module in `encodings/`, which compiles them."""
-    return {module.ENCODING: module.DECODER for module in modules_of(msg_adapters.encodings)}
+    return {module.ENCODING: module.DECODER for module in _modules_of(msg_adapters.encodings)}
 
 
 @cache
 def _factories() -> dict[str, Factory]:
     """Collect TYPES and DECODER of every module in `formats/`."""
     factories: dict[str, Factory] = {}
-    for module in modules_of(msg_adapters.formats):
+    for module in _modules_of(msg_adapters.formats):
         factories |= dict.fromkeys(module.TYPES, module.DECODER)
     return factories
+
+
+def _modules_of(package: ModuleType) -> Iterator[ModuleType]:
+    """Import the modules directly inside a package, in order of name."""
+    for found in pkgutil.iter_modules(package.__path__):
+        yield importlib.import_module(f"{package.__name__}.{found.name}")

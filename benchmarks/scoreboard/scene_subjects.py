@@ -17,7 +17,7 @@ class SceneSubject:
     """A scene by name, simulated when it is needed.
 
     Attributes:
-        scene: a key of `emoflow_ros.simulation.scenes.SCENES`.
+        scene: a key of `emoflow_ros.simulation.recording.SCENES`.
         seed: of everything in it.
         duration_s: length.
     """

@@ -37,7 +37,6 @@ SENSORS = {
     "640x480": (640, 480),
     "1280x720": (1280, 720),
 }
-LENS_KINDS = ("none", "plumb_bob", "equidistant")
 
 
 @dataclass(frozen=True)

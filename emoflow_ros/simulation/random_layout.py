@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.simulation.factors import Factors
-from emoflow_ros.simulation.patterns import BLANK, FEATURE, PAINTED
-from emoflow_ros.simulation.surfaces import MOVING, Look, Quad, cuboid
-from emoflow_ros.simulation.textures import LOG_CONTRAST
+from emoflow_ros.simulation.scene import MOVING, Look, Quad, cuboid
+from emoflow_ros.simulation.textures import BLANK, FEATURE, LOG_CONTRAST, PAINTED
 
 _LENGTH = 260.0  # m: no recording goes further down a corridor or a street
 _GROUND = -1  # in place of a texture: one will be drawn, but not the blank one

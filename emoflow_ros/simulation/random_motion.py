@@ -5,17 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emoflow_ros.simulation.trajectory import (
-    PITCH,
-    ROLL,
-    YAW,
-    Step,
-    Trajectory,
-    Wave,
-    X,
-    Y,
-    Z,
-)
+from emoflow_ros.simulation.scene import PITCH, ROLL, YAW, Step, Trajectory, Wave, X, Y, Z
 
 _PLACE, _TURN = (X, Y, Z), (YAW, PITCH, ROLL)
 _LARGEST_TURN = 0.45  # rad, amplitude of one wave: the scene stays in view
@@ -231,7 +221,7 @@ def _floating(
 
 
 def _ahead(speed: float, demand: Demand, waves: tuple[Wave, ...], rng: np.random.Generator) -> Path:
-    """Steadily ahead: what is ahead moves the image less than what passes by, so twice as fast."""
+    """Move ahead steadily at twice the speed: points straight ahead move little in the image."""
     return Path(waves, velocity=(float(0.1 * speed * rng.normal()), 0.0, float(2 * speed)))
 
 

@@ -15,8 +15,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import Factors, draw_factors
-from emoflow_ros.simulation.imperfections import Lamp, Photoreceptor, hot_pixels, lose_bursts
-from emoflow_ros.simulation.patterns import random_textures
+from emoflow_ros.simulation.ground_truth import GroundTruth
 from emoflow_ros.simulation.random_scene import (
     GRID,
     coarse_truth,
@@ -26,9 +25,17 @@ from emoflow_ros.simulation.random_scene import (
 )
 from emoflow_ros.simulation.raycast import RayCaster, exact_bearings
 from emoflow_ros.simulation.recording import SimulatedRecording
-from emoflow_ros.simulation.scenes import Scene
-from emoflow_ros.simulation.sensor import EventPixels, SensorModel, background_noise
-from emoflow_ros.simulation.truth import GroundTruth
+from emoflow_ros.simulation.scene import Scene
+from emoflow_ros.simulation.sensor import (
+    EventPixels,
+    Lamp,
+    Photoreceptor,
+    SensorModel,
+    background_noise,
+    hot_pixels,
+    lose_bursts,
+)
+from emoflow_ros.simulation.textures import random_textures
 
 __all__ = ["Factors", "RandomRecording", "draw_factors", "random_truth", "simulate_random"]
 
@@ -63,7 +70,7 @@ class RandomRecording:
     truth: GroundTruth
 
     def as_given(self) -> SimulatedRecording:
-        """Return the recording as users meet it, with the calibration for the camera."""
+        """Return the recording as users receive it: its camera is the calibration."""
         return SimulatedRecording(
             "random",
             self.factors.seed,
@@ -148,7 +155,7 @@ def frame_times(factors: Factors, camera: Camera, scene: Scene, end: int) -> lis
     while times[-1] < end:
         knot = times[-1] // _KNOT
         fps = np.clip(max(speeds[knot : knot + 3]) / _LARGEST_STEP_PX, slowest, _FASTEST_FPS)
-        # The image does not speed up unseen: no step is longer than two knots.
+        # The speed is known at the knots only, so no step is longer than two knots.
         step = min(int(NS_PER_S / fps), 2 * _KNOT) // 1000 * 1000
         times.append(min(times[-1] + step, end))
     return times

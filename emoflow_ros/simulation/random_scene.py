@@ -7,15 +7,13 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.simulation.factors import Factors
+from emoflow_ros.simulation.ground_truth import GroundTruth
 from emoflow_ros.simulation.random_layout import Layout, mover_box, quad_distance, random_layout
 from emoflow_ros.simulation.random_motion import Demand, Path, mover_path, random_path
-from emoflow_ros.simulation.scenes import Scene
-from emoflow_ros.simulation.surfaces import Quad
-from emoflow_ros.simulation.trajectory import Trajectory
-from emoflow_ros.simulation.truth import GroundTruth
+from emoflow_ros.simulation.scene import Quad, Scene, Trajectory
 
 CLEARANCE = 0.3  # m, from the camera to any static surface, at least
-_CLEARANCE_SHARE = 0.25  # of the typical depth: nobody flies with the lens at the wall
+_CLEARANCE_SHARE = 0.25  # of the typical depth: the camera keeps its distance from walls
 GRID = 16  # px: motion is measured on every 16th pixel
 _FAR = 80.0  # m: sky and hills do not count for the image's motion
 _LARGEST_ACCELERATION = np.radians(3000)  # rad/s^2

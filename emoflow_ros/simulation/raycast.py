@@ -7,9 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.simulation.surfaces import Quad
+from emoflow_ros.simulation.scene import Pose, Quad
 from emoflow_ros.simulation.textures import LEVELS, SIZE, TextureSet
-from emoflow_ros.simulation.trajectory import Pose
 
 _TILE = 16
 
@@ -206,7 +205,7 @@ def _level(m, u, v, scale):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _trilinear(texels, level_start, u, v, level):  # type: ignore[no-untyped-def]
-    """Sample between two pyramid levels, so that none pops while the camera approaches."""
+    """Sample between two pyramid levels, so that no level appears abruptly."""
     lower = int(level)
     near = _bilinear(texels, level_start[lower], lower, u, v)
     far = _bilinear(texels, level_start[lower + 1], lower + 1, u, v)

@@ -9,14 +9,17 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.options import options_of, replace_options
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.simulation.cameras import LENSES, davis346
 from emoflow_ros.simulation.factors import draw_factors, factor_specs
-from emoflow_ros.simulation.imu import PERFECT, ImuModel
+from emoflow_ros.simulation.ground_truth import PERFECT, ImuModel
 from emoflow_ros.simulation.random_recording import simulate_random
-from emoflow_ros.simulation.recording import SimulatedRecording, simulate
-from emoflow_ros.simulation.scenes import SCENES
+from emoflow_ros.simulation.recording import LENSES, SCENES, SimulatedRecording, davis346, simulate
+from emoflow_ros.simulation.recording_files import (
+    FORMATS,
+    OutputPaths,
+    write_factors,
+    write_recording,
+)
 from emoflow_ros.simulation.sensor import SensorModel
-from emoflow_ros.simulation.writer import FORMATS, OutputPaths, write_factors, write_recording
 
 RANDOM = "random"
 _OF_SCENES = ("distortion", "fps", "threshold", "mismatch", "refractory_us", "noise")
@@ -146,7 +149,7 @@ def _simulate(args: argparse.Namespace) -> None:
         raise InputError("--name", f"'{name}' is a path", "give a name, and the folder with --out")
     if not 0 <= args.start_time <= _LAST_START:
         raise InputError("--start-time", f"{args.start_time} s", f"give 0 to {_LAST_START}")
-    _imu_model(args)  # refused before anything is simulated
+    _imu_model(args)  # bad values are refused before the simulation starts
     if args.scene == RANDOM:
         _simulate_random(args, name)
     else:

@@ -12,9 +12,8 @@ from numba import njit, types
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from msg_adapters.kernels import count_bits, expand, kernel_signature, run_kernel
 from msg_adapters.message import Statistics
-from msg_adapters.packet import view_words
+from msg_adapters.packet_decoder import count_bits, expand, kernel_signature, run_kernel, view_words
 
 ENCODING = "evt21"
 

@@ -9,9 +9,8 @@ import numpy as np
 from numba import njit, types
 
 from emoflow_ros.core.events import Events
-from msg_adapters.kernels import count_bits, expand, kernel_signature, run_kernel
 from msg_adapters.message import Statistics
-from msg_adapters.packet import view_words
+from msg_adapters.packet_decoder import count_bits, expand, kernel_signature, run_kernel, view_words
 
 ENCODING = "evt3"
 

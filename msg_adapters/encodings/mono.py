@@ -8,7 +8,7 @@ import numpy as np
 
 from emoflow_ros.core.events import Events
 from msg_adapters.message import Statistics
-from msg_adapters.packet import view_words
+from msg_adapters.packet_decoder import view_words
 
 ENCODING = "mono"
 

@@ -6,7 +6,7 @@ as event_array_msgs/EventArray.
 """
 
 from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
-from msg_adapters.packet import PacketDecoder
+from msg_adapters.packet_decoder import PacketDecoder
 from msg_adapters.registry import make_packet_decoder, packet_decoders
 from msg_adapters.wire import Cursor, DecodeError, Serialization
 

@@ -2,8 +2,16 @@
 
 Fields are found by name, in any order and numeric type: x, y, one of t, ts, time, timestamp,
 t_s, t_us, t_ns, and one of p, polarity, pol (ON where positive). Others are ignored. The cloud's
-width and height are its own organisation, not the sensor's: the geometry stays unknown.
-What the times mean is in `msg_adapters/cloud_time.py`.
+width and height describe the cloud, not the sensor: the sensor's size stays unknown.
+PointCloud2 declares neither the unit nor the origin of the times, so both are inferred.
+
+Unit: the field's suffix (`t_s`, `t_us`, `t_ns`) if it has one. Otherwise the magnitude of epoch
+times decides (from 1e17: ns, from 1e14: us); else floats are seconds. Integers have 32 bits at
+most: they are us or ns, whichever agrees with the header's stamp; else us if they count from far
+before the message (ns would wrap every 4.3 s); else the span of the message decides.
+
+Origin: absolute if nearer to the header's stamp than to zero, or more than 1 s from zero (a
+sensor's own clock); else relative to the header's stamp.
 """
 
 from dataclasses import dataclass
@@ -13,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from msg_adapters.cloud_time import CloudTime
 from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
-from msg_adapters.wire import Cursor, DecodeError, Serialization
+from msg_adapters.wire import NS_PER_S, Cursor, DecodeError, Serialization
 
 TYPES = ("sensor_msgs/msg/PointCloud2",)
 
@@ -25,6 +32,13 @@ _POLARITY_NAMES = ("p", "polarity", "pol")
 _COORDINATE_LIMIT = 1 << 16
 _MAX_POINT_STEP = 1 << 16
 _MIN_FIELD_SIZE = 13  # bytes of an unnamed PointField, at least
+_UNITS_NS = {"_s": NS_PER_S, "_us": 1_000, "_ns": 1}
+_EPOCH_NS, _EPOCH_US = 1e17, 1e14
+_NEAR_NS = 2 * NS_PER_S
+_LONGEST_RELATIVE_NS = NS_PER_S
+# Messages of event cameras last 0.25 ms to 250 ms: a span above this is ns, below it us.
+_SPAN_BETWEEN_US_AND_NS = 250_000
+_MAX_NS = 2.0**62  # leaves room for the stamp to be added
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +46,35 @@ class _Field:
     name: str
     offset: int
     datatype: int
+
+
+class _CloudTime:
+    """Converts one topic's time field to ns; keeps unit and origin once they are certain."""
+
+    def __init__(self) -> None:
+        self._meaning: tuple[int, bool] | None = None
+
+    def to_ns(self, name: str, t: NDArray[Any], stamp: int) -> NDArray[np.int64]:
+        """Return the times (N,) in ns; `stamp` is the header's, in ns.
+
+        Raises:
+            DecodeError: times that do not fit 64 bits in ns.
+        """
+        if t.size == 0:
+            return np.empty(0, np.int64)
+        low, high = float(t.min()), float(t.max())
+        unit, relative = self._meaning or _infer_time(name, t.dtype.kind, low, high, stamp)
+        if self._meaning is None and stamp > _NEAR_NS:  # near zero all origins look alike
+            self._meaning = unit, relative
+        if max(abs(low), abs(high)) * unit >= _MAX_NS:
+            raise DecodeError(f"field '{name}' holds times beyond 64-bit nanoseconds")
+        if t.dtype.kind == "f":
+            t_ns = np.rint(t.astype(np.float64) * unit).astype(np.int64)
+        else:
+            t_ns = t.astype(np.int64) * unit
+        if relative:
+            t_ns += stamp
+        return t_ns
 
 
 class PointCloud2Decoder:
@@ -44,7 +87,7 @@ class PointCloud2Decoder:
 
     def reset(self) -> None:
         """Forget what the time field was found to mean."""
-        self._time = CloudTime()
+        self._time = _CloudTime()
 
     def decode(self, data: Bytes) -> EventMessage:
         """Decode one message; see Decoder."""
@@ -143,3 +186,28 @@ def _no_pixel(values: NDArray[Any]) -> NDArray[np.bool_] | np.bool_:
         return np.False_
     outside: NDArray[np.bool_] = ~((values >= 0) & (values < _COORDINATE_LIMIT))
     return outside
+
+
+def _infer_time(name: str, kind: str, low: float, high: float, stamp: int) -> tuple[int, bool]:
+    unit = _unit_ns(name, kind, low, high, stamp)
+    start = low * unit
+    absolute = abs(start - stamp) < abs(start) or abs(start) > _LONGEST_RELATIVE_NS
+    return unit, not absolute
+
+
+def _unit_ns(name: str, kind: str, low: float, high: float, stamp: int) -> int:
+    for suffix, unit in _UNITS_NS.items():
+        if name.endswith(suffix):
+            return unit
+    if abs(high) >= _EPOCH_NS:
+        return 1
+    if abs(high) >= _EPOCH_US:
+        return 1_000
+    if kind == "f":
+        return NS_PER_S
+    for unit in (1_000, 1):
+        if stamp > _NEAR_NS and abs(low * unit - stamp) < _NEAR_NS:
+            return unit
+    if low > high - low or high - low < _SPAN_BETWEEN_US_AND_NS:
+        return 1_000
+    return 1

@@ -11,9 +11,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
-from emoflow_ros.simulation.cameras import davis346
-from emoflow_ros.simulation.recording import simulate
-from emoflow_ros.simulation.writer import OutputPaths, write_recording
+from emoflow_ros.simulation.recording import davis346, simulate
+from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
 
 sys.path.insert(0, str(Path(__file__).parent))  # known.py, synthetic.py
 

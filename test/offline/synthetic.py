@@ -15,8 +15,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.simulation import messages as msg
-from emoflow_ros.simulation.bags import Topic, write_bag
 from emoflow_ros.simulation.messages import MessageEncoder
+from emoflow_ros.simulation.recording_files import Topic, write_bag
 
 _NORMAL = np.array([0.15, -0.1, 1.0])  # of the plane n X = 2 m in the world
 _DISTANCE = 2.0

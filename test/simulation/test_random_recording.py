@@ -7,7 +7,6 @@ import pytest
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import MOTION_KINDS, SCENE_KINDS, Factors, draw_factors
-from emoflow_ros.simulation.patterns import BLANK, PAINTED, random_textures
 from emoflow_ros.simulation.random_layout import quad_distance
 from emoflow_ros.simulation.random_recording import (
     RandomRecording,
@@ -24,9 +23,8 @@ from emoflow_ros.simulation.random_scene import (
     random_camera,
     random_scene,
 )
-from emoflow_ros.simulation.scenes import Scene
-from emoflow_ros.simulation.surfaces import MOVING, STATIC
-from emoflow_ros.simulation.textures import SIZE, TextureSet
+from emoflow_ros.simulation.scene import MOVING, STATIC, Scene
+from emoflow_ros.simulation.textures import BLANK, PAINTED, SIZE, TextureSet, random_textures
 
 MS = 1_000_000
 SMALL = {"sensor": "240x180"}

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.simulation.scenes import SCENES, build_scene
-from emoflow_ros.simulation.trajectory import PITCH, ROLL, YAW, Step, Trajectory, Wave, X, Z
+from emoflow_ros.simulation.recording import SCENES, build_scene
+from emoflow_ros.simulation.scene import PITCH, ROLL, YAW, Step, Trajectory, Wave, X, Z
 
 STEP = 1e-5
 

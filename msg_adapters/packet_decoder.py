@@ -1,14 +1,16 @@
-"""What the compiled kernels of the stateful encodings share.
+"""What the decoders of EventPacket's encodings share: interface, view of words, kernels.
 
-A kernel takes the words of a packet, the state carried between packets and columns that are long
-enough by construction, and returns how many events it wrote, the triggers and time wraps that it
-saw, and the words or events that it had to skip. Signatures are explicit, so that importing a
-kernel compiles it (or loads it from numba's cache) and no message ever waits for a compiler.
-That cache does not notice changes of what a kernel calls: after one here, delete the kernels' .nbi.
+A kernel is the compiled decoder of a stateful encoding. It takes the words of a packet, the state
+carried between packets and columns that are long enough by construction. It returns how many
+events it wrote, the triggers and time wraps that it saw, and the words or events that it skipped.
+
+Signatures are explicit, so that importing a kernel compiles it (or loads it from numba's cache)
+and no message waits for a compiler. That cache does not notice changes of the functions that a
+kernel calls: after a change here, delete the kernels' .nbi files.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit, types
@@ -22,6 +24,37 @@ from msg_adapters.message import Statistics
 _COORDINATE, _TIME, _POLARITY = np.dtype(np.uint16), np.dtype(np.int64), np.dtype(np.bool_)
 
 type Kernel = Callable[..., tuple[int, int, int, int]]
+
+
+class PacketDecoder(Protocol):
+    """Decodes the payloads of one stream in order; adds to the statistics it was made with."""
+
+    def __init__(self, statistics: Statistics) -> None: ...
+
+    def decode(self, payload: memoryview, big_endian: bool, time_base: int) -> Events:
+        """Decode one packet; `time_base` is in ns and below 2**62. Never fails."""
+        ...
+
+    def resync(self) -> None:
+        """Forget the state that lost packets may have changed; keep counting time wraps."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything."""
+        ...
+
+
+def view_words(
+    payload: memoryview, word: np.dtype[Any], big_endian: bool, statistics: Statistics
+) -> NDArray[Any]:
+    """View a payload as words of a little-endian type; big-endian ones are copied.
+
+    An incomplete word at the end counts as skipped.
+    """
+    if len(payload) % word.itemsize:
+        statistics.skipped += 1
+    words: NDArray[Any] = np.ndarray(len(payload) // word.itemsize, word, payload)
+    return words.byteswap() if big_endian else words
 
 
 def kernel_signature(word: types.Type) -> Signature:

@@ -1,8 +1,9 @@
 """Write a simulated recording as MVSEC's files: data bag, truth bag, flow and calibration."""
 
+import heapq
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,23 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from rosbags import rosbag1, rosbag2
 from tqdm import tqdm
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.simulation.bags import TRUTH_PERIOD, data_topics, truth_topics, write_bag
+from emoflow_ros.simulation import messages as msg
 from emoflow_ros.simulation.factors import Factors
-from emoflow_ros.simulation.imu import ImuModel, SimulatedImu, simulate_imu
-from emoflow_ros.simulation.messages import MessageEncoder, ros_distortion
+from emoflow_ros.simulation.ground_truth import ImuModel, SimulatedImu, simulate_imu
+from emoflow_ros.simulation.messages import ImuSample, MessageEncoder, ros_distortion
 from emoflow_ros.simulation.recording import SimulatedRecording
 
 FORMATS = ("rosbag1", "rosbag2")
+_TRUTH_PERIOD = NS_PER_S // 20  # depth and flow, as in MVSEC
+_POSE_PERIOD = NS_PER_S // 100
+_INFO_PERIOD = NS_PER_S // 20
+_EVENT_BATCH = 10 * NS_PER_MS
 _IMU = ImuModel()
 
 
@@ -33,7 +39,7 @@ class OutputPaths:
         data, truth: the bags; a ROS 1 bag is a file, a rosbag2 bag (mcap) a folder.
         flow: the npz of displacements.
         calibration: the camera_info YAML.
-        factors: what a random recording was drawn as, YAML; None for other scenes.
+        factors: the drawn factors of a random recording, YAML; None for other scenes.
     """
 
     data: Path
@@ -61,7 +67,7 @@ class OutputPaths:
         return (path for path in parts if path is not None)
 
     def check(self, *, overwrite: bool) -> None:
-        """Make the folder and see that the parts may be written there.
+        """Make the folder and check that the parts may be written there.
 
         Raises:
             InputError: a part exists and may not be overwritten, or the folder cannot be used.
@@ -81,7 +87,7 @@ class OutputPaths:
                 raise InputError(path, "is a folder, but not a bag", "give another --name")
 
     def remove(self) -> None:
-        """Remove the parts that an earlier run left."""
+        """Remove the parts that an earlier run wrote."""
         for path in self:
             if path.is_dir():
                 shutil.rmtree(path)
@@ -122,7 +128,7 @@ def write_recording(
 
 
 def write_factors(path: Path, factors: Factors) -> None:
-    """Write what a random recording was drawn as: names and values, YAML."""
+    """Write the drawn factors of a random recording: names and values, YAML."""
     path.write_text(yaml.safe_dump(factors.as_dict(), sort_keys=False), encoding="utf-8")
 
 
@@ -132,13 +138,13 @@ def _write_flow(path: Path, recording: SimulatedRecording, progress: bool) -> No
     The last of the N stamps lies one period before the end of the recording, or less. Beyond
     MVSEC's arrays, `moving` marks the pixels that see the independently moving object.
     """
-    stamps = range(recording.t_start, recording.t_end, TRUTH_PERIOD)
+    stamps = range(recording.t_start, recording.t_end, _TRUTH_PERIOD)
     camera = recording.camera
     flow = np.empty((2, len(stamps), camera.height, camera.width), np.float32)
     moving = np.empty(flow.shape[1:], np.bool_)
     for k, t in enumerate(tqdm(stamps, path.name, unit="flow", disable=not progress)):
         moving[k] = recording.truth.moving_mask(t)
-        flow[:, k] = np.moveaxis(recording.truth.displacement(t, t + TRUTH_PERIOD), -1, 0)
+        flow[:, k] = np.moveaxis(recording.truth.displacement(t, t + _TRUTH_PERIOD), -1, 0)
     np.savez(
         path,
         timestamps=np.array(stamps) / NS_PER_S,
@@ -169,3 +175,88 @@ def _write_calibration(path: Path, camera: Camera) -> None:
 def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
     rows, columns = values.shape
     return {"rows": rows, "cols": columns, "data": values.ravel().tolist()}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic with a message at each of `times` (ns), made by `encode(time)`."""
+
+    name: str
+    msgtype: str
+    times: Sequence[int]
+    encode: Callable[[int], bytes]
+
+
+def data_topics(
+    recording: SimulatedRecording, encoder: MessageEncoder, imu: SimulatedImu
+) -> list[Topic]:
+    """List what the sensor sends: events in batches of 10 ms, calibration and IMU."""
+    camera, events = recording.camera, recording.events
+
+    def encode_events(end: int) -> bytes:
+        first, last = np.searchsorted(events.t, [end - _EVENT_BATCH, end])
+        return encoder.events(end - _EVENT_BATCH, camera, events[first:last])
+
+    def encode_imu(t: int) -> bytes:
+        k = int(np.searchsorted(imu.stamps, t))
+        return encoder.imu(t, ImuSample(imu.angular[k], imu.force[k]))
+
+    start, end = recording.t_start, recording.t_end
+    batch_ends = range(start + _EVENT_BATCH, end + _EVENT_BATCH, _EVENT_BATCH)
+    return [
+        Topic("/davis/left/events", msg.EVENT_ARRAY, batch_ends, encode_events),
+        Topic(
+            "/davis/left/camera_info",
+            msg.CAMERA_INFO,
+            range(start, end, _INFO_PERIOD),
+            lambda t: encoder.camera_info(t, camera),
+        ),
+        Topic("/davis/left/imu", msg.IMU, imu.stamps.tolist(), encode_imu),
+    ]
+
+
+def truth_topics(recording: SimulatedRecording, encoder: MessageEncoder) -> list[Topic]:
+    """List the ground truth: depth on the rectified grid, and the camera's pose."""
+    truth, rectified = recording.truth, recording.truth.rectified()
+    start, end = recording.t_start, recording.t_end
+    return [
+        Topic(
+            "/davis/left/depth_image_rect",
+            msg.IMAGE,
+            range(start, end + 1, _TRUTH_PERIOD),
+            lambda t: encoder.depth_image(t, rectified.depth(t)),
+        ),
+        Topic(
+            "/davis/left/pose",
+            msg.POSE,
+            range(start, end + 1, _POSE_PERIOD),
+            lambda t: encoder.pose(t, truth.pose(t)),
+        ),
+    ]
+
+
+def write_bag(
+    path: Path, encoder: MessageEncoder, topics: Sequence[Topic], *, progress: bool
+) -> None:
+    """Write all messages in order of time, into a ROS 1 bag or a rosbag2 folder (mcap).
+
+    Args:
+        path: does not exist yet.
+        encoder: its serialisation decides which kind of bag it is.
+        topics: what to write.
+        progress: whether to show a bar.
+    """
+    writer: rosbag1.Writer | rosbag2.Writer
+    if encoder.ros1:
+        writer = rosbag1.Writer(path)
+    else:
+        writer = rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    queue = heapq.merge(*([(t, k) for t in topic.times] for k, topic in enumerate(topics)))
+    total = sum(len(topic.times) for topic in topics)
+    with writer:
+        connections = [
+            writer.add_connection(topic.name, topic.msgtype, typestore=encoder.typestore)
+            for topic in topics
+        ]
+        for t, k in tqdm(queue, path.name, total, unit="message", disable=not progress):
+            writer.write(connections[k], t, topics[k].encode(t))

@@ -1,4 +1,4 @@
-"""Smooth 6-DoF paths as sums of sinusoids and smooth steps, with derivatives in closed form."""
+"""What a scene consists of: textured rectangles, and the smooth paths of camera and objects."""
 
 from dataclasses import dataclass
 
@@ -10,6 +10,73 @@ Pose = tuple[NDArray[np.float64], Vector]  # rotation world-from-body (3, 3), po
 
 # Channels of a path.
 X, Y, Z, YAW, PITCH, ROLL = range(6)
+
+STATIC, MOVING = 0, 1  # more bodies that move by themselves are MOVING + 1, ...
+_QUIET_HZ = 0.1
+
+
+@dataclass(frozen=True)
+class Quad:
+    """A textured rectangle in the frame of the body that carries it.
+
+    Attributes:
+        corner: (3,) m.
+        along_u, along_v: (3,) edges from the corner in m, at right angles to each other.
+        texture: index into the texture set.
+        texel: side of the finest texel in m.
+        contrast: factor on the texture's log intensity.
+        shade: added to the log intensity.
+        body: STATIC, or MOVING plus the number of the body that moves by itself.
+    """
+
+    corner: NDArray[np.float64]
+    along_u: NDArray[np.float64]
+    along_v: NDArray[np.float64]
+    texture: int
+    texel: float
+    contrast: float = 1.0
+    shade: float = 0.0
+    body: int = STATIC
+
+
+@dataclass(frozen=True)
+class Look:
+    """How the faces of a room or box are painted: textures are drawn from the set."""
+
+    textures: int
+    texel: float
+    contrast: float = 1.0
+    body: int = STATIC
+
+
+def cuboid(
+    centre: tuple[float, float, float],
+    size: tuple[float, float, float],
+    yaw: float,
+    look: Look,
+    rng: np.random.Generator,
+) -> list[Quad]:
+    """Six faces of a box turned by `yaw` rad about the vertical (y) axis, or of a room."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    axes = np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]]) * np.array(size)[:, None]
+    low = np.array(centre) - axes.sum(axis=0) / 2
+    quads = []
+    for normal in range(3):
+        u, v = axes[(normal + 1) % 3], axes[(normal + 2) % 3]
+        for corner in (low, low + axes[normal]):
+            quads.append(
+                Quad(
+                    corner,
+                    u,
+                    v,
+                    int(rng.integers(look.textures)),
+                    look.texel,
+                    look.contrast,
+                    float(rng.normal(0, 0.25)),
+                    look.body,
+                )
+            )
+    return quads
 
 
 @dataclass(frozen=True)
@@ -138,6 +205,28 @@ class Trajectory:
         for step in self._steps:
             waves[step.channel] += _step(step, t, order)
         return np.asarray(waves)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Surfaces and motions, in a world with x right, y down and z forward at the start.
+
+    Attributes:
+        quads: all surfaces, each in the frame of the body that carries it.
+        camera: world-from-camera.
+        movers: world-from-body of each body that moves by itself: bodies MOVING, MOVING + 1, ...
+        noise_hz: background events per second and pixel; dim scenes have more.
+    """
+
+    quads: tuple[Quad, ...]
+    camera: Trajectory
+    movers: tuple[Trajectory, ...] = ()
+    noise_hz: float = _QUIET_HZ
+
+    def poses(self, t: float) -> tuple[Pose, tuple[Pose, ...]]:
+        """Poses at t in s: the camera's, and those of the bodies STATIC, MOVING and so on."""
+        rest = (np.eye(3), np.zeros(3))
+        return self.camera.pose(t), (rest, *(mover.pose(t) for mover in self.movers))
 
 
 def _step(step: Step, t: float, order: int) -> float:
