@@ -14,9 +14,8 @@ an estimate that jumps is less certain than its own window says.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, KnownRotation
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
-from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
