@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.ground_truth import (

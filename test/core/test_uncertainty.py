@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
-from emoflow_ros.core.epipolar import motion_matrices
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import TO_MIDDLE, LatticeFit
-from emoflow_ros.core.preparation import prepare
+from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.windows import NS_PER_MS, Window
-from emoflow_ros.core.working_image import WorkingImage
 
 Array = NDArray[np.float64]
 
