@@ -21,8 +21,8 @@ from benchmarks._scoring import verdict
 from emoflow_ros.cli import run
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.implicit.config import ImplicitConfig
 from emoflow_ros.core.implicit.estimator import ImplicitEstimator
+from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.windows import NS_PER_MS, Window
 

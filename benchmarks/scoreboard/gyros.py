@@ -6,16 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.readers.reader_base import Imu
-from emoflow_ros.truth.ground_truth import PoseTrack
 from emoflow_ros.simulation.ground_truth import (
     GroundTruth,
     ImuModel,
     measure_rotation,
     reading_times,
 )
+from emoflow_ros.truth.ground_truth import PoseTrack
 
 # 1000 Hz, 0.01 deg/s/sqrt(Hz), a bias of 1 deg/s and a scale error of 1 % in each axis.
 CONSUMER = ImuModel()

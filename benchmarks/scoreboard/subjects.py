@@ -10,7 +10,7 @@ from benchmarks.scoreboard.gyros import gyro_of_poses, own_gyro
 from benchmarks.scoreboard.truths import NominalFlow
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.readers import open_recording, require_camera
 from emoflow_ros.truth import Truth, load_truth
 

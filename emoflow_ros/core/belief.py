@@ -1,10 +1,19 @@
-"""What is known about the egomotion from one window to the next."""
+"""What is known of the motion and the scene before a window's own events are used.
+
+Earlier windows leave a belief in the egomotion and the inverse depths of the scene; a gyro measures
+the rotation.
+"""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.camera_motion import CONTROL_POINTS
+from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.gyro_measurement import GyroMeasurement
+from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.windows import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -12,6 +21,12 @@ Array = NDArray[np.float64]
 # One event edge is seen by many events and a lattice smooths their errors into each other:
 # the normal equations are this much too sure (measured, docs/method.md).
 INFORMATION_EXCESS = 10.0
+
+_FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many windows
+_MAX_APPROACH = 0.2  # depths per window
+
+_MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24  # of the spline over the window, by control points
+_GREVILLE = np.arange(CONTROL_POINTS) - 1.0  # control points there make a spline a straight line
 
 
 @dataclass(frozen=True)
@@ -58,3 +73,129 @@ class Belief:
         covariance = self.covariance.copy()
         covariance[3:, 3:] -= np.outer(self.v, self.v)
         return covariance[np.ix_(order, order)]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Structure of the scene, carried on as inverse depths at the nodes with their certainty.
+
+    One window tells rotation and sideways translation apart only by the scene's relief, and
+    poorly. The relief stays while the motion changes. Without it the translational flow u - b w
+    has a free length along the epipolar line. With it this length is speed * rho * |a v|, known
+    but for the speed, which no single camera knows.
+
+    Attributes:
+        inverse_depth: (nodes,) for a unit v, in travelled distances per window.
+        information: (nodes,) inverse variances.
+    """
+
+    inverse_depth: Array
+    information: Array
+
+    @classmethod
+    def observe(
+        cls,
+        epipolar: NodeEpipolar,
+        flow: Array,
+        motion: tuple[Array, Array],
+        evidence: Array,
+        predicted: "Structure | None",
+    ) -> "Structure":
+        """Read it from a fitted flow.
+
+        Args:
+            epipolar: the lattice's constraint.
+            flow: (nodes, 2) px per window.
+            motion: w (3,) rad per window and v (3,) unit.
+            evidence: (nodes, 2, 2) the events' information on the flow.
+            predicted: what the fit already knew, and may count on again.
+        """
+        w, v = motion
+        line, squared = _lines(epipolar, v)
+        translational = flow - epipolar.b @ w
+        inverse_depth = (translational * line).sum(-1) / squared
+        along = ((line[:, None] @ evidence)[:, 0] * line).sum(-1)
+        information = epipolar.usable * along / INFORMATION_EXCESS
+        if predicted is not None:
+            information = information + predicted.information
+        return cls(inverse_depth, information)
+
+    def predict(
+        self,
+        lattice: Lattice,
+        epipolar: NodeEpipolar,
+        flow: Array,
+        windows: float,
+        v: Array,
+        drift: float,
+    ) -> "Structure":
+        """Move it along with the scene into a later window.
+
+        Args:
+            lattice: the flow's.
+            epipolar: the lattice's constraint.
+            flow: (nodes, 2) px per window, now.
+            windows: how far ahead, in windows.
+            v: (3,) unit direction of travel.
+            drift: relative change of depth that is expected anyway.
+        """
+        _, squared = _lines(epipolar, v)
+        error = (drift * self.inverse_depth) ** 2 + _FLOW_ERROR_PX**2 / squared
+        certainty = 1 / (1 / np.maximum(self.information, 1e-9) + error)
+        source = lattice.pixels - windows * flow
+        known = lattice.interpolate(certainty, source)
+        inverse_depth = lattice.interpolate(certainty * self.inverse_depth, source) / known
+        # A scene that comes closer grows: Z' = Z - v_z.
+        approach = np.clip(windows * inverse_depth * v[2], -_MAX_APPROACH, _MAX_APPROACH)
+        inside = ((source >= 0) & (source <= lattice.pixels[-1])).all(axis=-1)
+        return Structure(inverse_depth * (1 + approach), np.where(inside, known, 1e-9))
+
+
+def _lines(epipolar: NodeEpipolar, v: Array) -> tuple[Array, Array]:
+    """Epipolar lines a v (nodes, 2) and their squared norms, never zero."""
+    line = epipolar.a @ v
+    return line, (line**2).sum(-1) + epipolar.soft**2
+
+
+@dataclass(frozen=True)
+class KnownRotation:
+    """The angular velocity of a window, in rad per window, and how well it is known.
+
+    Only its mean takes part in the fit: tied to the slope, too, the fit converges worse.
+
+    Attributes:
+        mean: (3,).
+        information: (3, 3) of the mean, in units of the normal equations, which are too sure by
+            INFORMATION_EXCESS.
+        slope: (3,) half of its change over the window.
+        bend: (3,) what it is in the middle of the window, less the mean.
+    """
+
+    mean: Array
+    information: Array
+    slope: Array
+    bend: Array
+
+    @classmethod
+    def measured(cls, measurement: GyroMeasurement, duration: float) -> Self:
+        """Take it from a gyro's measurement of a window of `duration` seconds."""
+        information = INFORMATION_EXCESS * np.linalg.inv(measurement.covariance) / duration**2
+        mean, slope = duration * measurement.coefficients[:2]
+        return cls(mean, information, slope, duration * measurement.middle - mean)
+
+    def control_points(self) -> Array:
+        """Build the control points (4, 3) of mean and slope."""
+        return self.mean + np.outer(2 * _GREVILLE - 1, self.slope)
+
+    def add_to(self, w: Array, corner: Array, corner_vector: Array) -> None:
+        """Add it to normal equations.
+
+        Args:
+            w: (4, 3) present control points, rad per window.
+            corner: (M, M), the control points' 12 unknowns first.
+            corner_vector: (M,).
+        """
+        unknowns = 3 * CONTROL_POINTS
+        corner[:unknowns, :unknowns] += np.kron(np.outer(_MEAN, _MEAN), self.information)
+        surprise = self.information @ (self.mean - _MEAN @ w)
+        corner_vector[:unknowns] += np.kron(_MEAN, surprise)

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.implicit.config import ImplicitConfig
+from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import option, options_of, replace_options
 from emoflow_ros.core.windows import WindowPolicy

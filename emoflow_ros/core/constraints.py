@@ -1,7 +1,8 @@
 """Inner loops of the epipolar constraint on the lattice, in numba.
 
-At a node with flow u, px per window, a motion (w, v) leaves the translational flow u - b w, which
-ought to lie along the epipolar line l = a v (core.epipolar, mapped through the lens to pixels).
+At a node with flow u, px per window, a motion (w, v) leaves the translational flow u - b w. It
+ought to lie along the epipolar line l = a v of core.camera_motion, mapped through the lens to
+pixels.
 """
 
 import numba

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core import assembly, kernels
+from emoflow_ros.core import kernels
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.normal_equations import gather_cells
 
 PARTS = 4  # of the window, whose images are compared
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over those of different parts
@@ -199,7 +200,7 @@ class Contrast:
             self._gradient, self._curvature,
         )  # fmt: skip
         slope = self._area * PAIRS
-        assembly.gather_cells(self._gradient, self._curvature, slope, slope * PAIRS, vector, band)
+        gather_cells(self._gradient, self._curvature, slope, slope * PAIRS, vector, band)
         return 0.5 * slope * potential
 
     def _warp(self, events: WindowEvents, flow: F32, ref: float) -> F32:

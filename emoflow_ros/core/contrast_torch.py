@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from emoflow_ros.core import assembly
 from emoflow_ros.core.contrast import PAIRS, PARTS, WindowEvents, gaussian
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.normal_equations import gather_cells
 
 _WARM_UPS = 3  # before the capture, as torch asks for
 
@@ -108,7 +108,7 @@ class TorchContrast:
         gradient = answer[1 : self._of_gradient].reshape(*self._cells, 2, 8)
         curvature = answer[self._of_gradient :].reshape(*self._cells, 8, 3, 8)
         slope = self._area * PAIRS
-        assembly.gather_cells(gradient, curvature, slope, slope * PAIRS, vector, band)
+        gather_cells(gradient, curvature, slope, slope * PAIRS, vector, band)
         return 0.5 * slope * float(answer[0])
 
     def _load(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> None:

@@ -2,7 +2,7 @@
 
 At a node with flow u (px per window) the residual is what the motion (v, w) leaves across
 the epipolar line, r = n . (u - b w) with n normal to a v; a and b are the matrices of the
-motion field (core.epipolar) mapped through the lens to pixels. It is the DEC divided by
+motion field (core.camera_motion) mapped through the lens to pixels. It is the DEC divided by
 the norm of the line, so that it has the unit and the noise of the flow itself.
 """
 
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core import constraints
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.epipolar import motion_matrices
+from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis, motion_matrices
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.spline import CONTROL_POINTS, basis
 
 Array = NDArray[np.float64]
 

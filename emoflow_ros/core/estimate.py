@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.gyro_faults import GyroStatus
+from emoflow_ros.core.gyro_checks import GyroStatus
 from emoflow_ros.core.windows import Window
 
 
@@ -76,7 +76,7 @@ class Quality:
             the working image: what the fit's model of time leaves out. NaN where not known.
         second_look_px: how far a fresh fit of the flow, by the events alone, lies from this one, in
             px of the working image (core.second_look). NaN where not known.
-        doubt: probability that the estimate is wrong (core.reliability); NaN where not known.
+        doubt: probability that the estimate is wrong (core.second_look); NaN where not known.
     """
 
     events: int

@@ -4,12 +4,10 @@ from functools import partial
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
+from emoflow_ros.core.device import require_cuda, require_torch
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.motion_windows import MotionWindows
-from emoflow_ros.core.need_torch import require_torch
-from emoflow_ros.core.reliability import ReliableOnly
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
@@ -29,8 +27,12 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
 
         estimator = ImplicitEstimator(camera, config.estimator)
     if config.window.max_displacement_px > 0:
+        from emoflow_ros.core.motion_windows import MotionWindows
+
         estimator = MotionWindows(estimator, camera, config.window)
     if isinstance(config.estimator, LatticeConfig) and config.estimator.max_doubt < 1:
+        from emoflow_ros.core.second_look import ReliableOnly
+
         estimator = ReliableOnly(estimator, config.estimator.max_doubt)
     return estimator
 
@@ -41,7 +43,6 @@ def _make_lattice_estimator(camera: Camera, config: LatticeConfig, imu: GyroConf
     if config.device == "cpu":
         return LatticeEstimator(camera, config, imu=imu)
     from emoflow_ros.core.contrast_torch import TorchContrast
-    from emoflow_ros.core.device import require_cuda
 
     require_cuda()
     make_contrast = partial(TorchContrast, device=config.device, capacity=config.max_events)

@@ -1,23 +1,20 @@
 """A gyro beside an estimator: its measurement of a window's rotation, its bias and its faults."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.gyro_axes import MistakeGuess
-from emoflow_ros.core.gyro_bias import BiasFilter
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_faults import (
+from emoflow_ros.core.gyro_checks import (
     FreezeWatch,
     GyroFault,
     GyroState,
     GyroStatus,
+    MistakeGuess,
     find_fault,
 )
-from emoflow_ros.core.gyro_readings import GyroReadings
-from emoflow_ros.core.gyro_shape import Shape, fit_shape
+from emoflow_ros.core.gyro_config import GyroConfig
+from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, Shape, fit_shape
 
 Array = NDArray[np.float64]
 
@@ -37,50 +34,10 @@ _CONFIRMED_S = 2.0
 _TRIAL_S = 2.0  # of agreement after which a rejected gyro is used again
 _RETRY_S = 3.0  # of disagreement after which a rejected gyro's bias is doubted once more
 
-
-@dataclass(frozen=True)
-class GyroMeasurement:
-    """The angular velocity of an interval, without the bias as far as that is known.
-
-    Over s = 0 at the interval's start to 1 at its end, w(s) = c[0] + c[1] (2s - 1) +
-    c[2] (6s^2 - 6s + 1).
-
-    Attributes:
-        t_start, t_end: the interval, ns.
-        coefficients: c, (3, 3) rad/s; a row for each polynomial, a column for each axis.
-        covariances: (3, 3, 3) of each row; that of the bias is in the first one.
-    """
-
-    t_start: int
-    t_end: int
-    coefficients: Array
-    covariances: Array
-
-    @property
-    def w(self) -> Array:
-        """Mean angular velocity (3,), rad/s."""
-        return self.coefficients[0]
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (3, 3) of the mean: noise, bias, scale, mounting, clock and gaps."""
-        return self.covariances[0]
-
-    @property
-    def middle(self) -> Array:
-        """Angular velocity (3,) in the middle of the interval, rad/s."""
-        return self.coefficients[0] - 0.5 * self.coefficients[2]
-
-    @property
-    def middle_covariance(self) -> Array:
-        """Covariance (3, 3) of the angular velocity in the middle."""
-        covariance: Array = self.covariances[0] + 0.25 * self.covariances[2]
-        return covariance
-
-    def at(self, s: float) -> Array:
-        """Angular velocity (3,) at s in [0, 1] of the interval, rad/s."""
-        w: Array = np.array([1.0, 2 * s - 1, 6 * s * (s - 1) + 1]) @ self.coefficients
-        return w
+# Errors of the events' estimates that are nearer than this in time go together, s.
+_CORRELATED_S = 0.25
+_MOST_DOUBT = 8.0
+_OUTLIER = 16.3  # squared distance in standard deviations that 0.1 % exceed
 
 
 class Gyro:
@@ -248,3 +205,55 @@ class Gyro:
         reason = f"{GyroFault.DISAGREES}: {round(100 * self.disagreement)} % of windows"
         guess = self._guess.in_words()
         return GyroStatus(GyroState.REJECTED, f"{reason}, {guess}" if guess else reason)
+
+
+class BiasFilter:
+    """A Kalman filter of the bias (3,), a random walk.
+
+    The events' estimates come from windows that overlap, and each starts from the one before it, so
+    that their errors repeat. An update after dt seconds therefore counts dt / tau of one, with tau
+    the window's length and at least 0.25 s: together they tell as much as estimates that are tau
+    apart.
+
+    Attributes:
+        mean: (3,) rad/s.
+        covariance: (3, 3).
+    """
+
+    def __init__(self, config: GyroConfig) -> None:
+        self._start = np.radians(config.bias_deg_s) ** 2 * np.eye(3)
+        self._walk = float(np.radians(config.bias_walk) ** 2)
+        self.mean = np.zeros(3)
+        self.covariance = self._start.copy()
+        self._since_update = np.inf
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        self.covariance = self.covariance + self._walk * seconds * np.eye(3)
+        self._since_update += seconds
+
+    def doubt(self) -> None:
+        """Trust what is known half as much, down to eight times the bias that is expected."""
+        most = _MOST_DOUBT**2 * np.trace(self._start)
+        if np.trace(self.covariance) < most:
+            self.covariance = 4 * self.covariance + self._start
+
+    def update(self, difference: Array, covariance: Array, duration: float) -> bool:
+        """Take the gyro's reading less the events' estimate; False if it is an outlier.
+
+        Args:
+            difference: (3,) rad/s.
+            covariance: (3, 3) of all in it but the bias.
+            duration: of the window, s.
+        """
+        apart = difference - self.mean
+        if apart @ np.linalg.solve(self.covariance + covariance, apart) > _OUTLIER:
+            return False
+        repeated = max(1.0, max(_CORRELATED_S, duration) / max(self._since_update, 1e-3))
+        noise = repeated * covariance
+        gain = np.linalg.solve(self.covariance + noise, self.covariance).T
+        kept = np.eye(3) - gain
+        self.mean = self.mean + gain @ apart
+        self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
+        self._since_update = 0.0
+        return True

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from emoflow_ros.core import assembly, kernels
-from emoflow_ros.core.interpolation import bilinear
+from emoflow_ros.core import kernels
 
 _MOST_NODES = 18
 _SUBSTEPS = 4  # midpoint steps per window of the dense products; error below 1e-3 px
@@ -168,29 +168,6 @@ class Lattice:
             points = points + h * self.sample(flow, middle, s + 0.5 * h)
         return points
 
-    def smoothness(
-        self,
-        flow: NDArray[np.float32],
-        weight: float,
-        edge: float,
-        in_time: float,
-        vector: NDArray[np.float64],
-        band: NDArray[np.float64],
-    ) -> None:
-        """Add the prior on the field to the normal equations: smooth in space up to edges.
-
-        Args:
-            flow: the field to linearise at.
-            weight: of second differences in space.
-            edge: px per window, above which a second difference counts as an edge.
-            in_time: weight of differences in time.
-            vector, band: right-hand side and matrix, added to (assembly.gather_cells).
-        """
-        values = flow.reshape(-1, self.times, 2).astype(np.float64)
-        for nodes, coefficients in self.second_differences:
-            assembly.add_stencil(values, nodes, coefficients, weight, edge, vector, band)
-        assembly.add_differences_in_time(values, in_time, vector, band)
-
 
 @dataclass(frozen=True)
 class LatticeFlow:
@@ -238,3 +215,34 @@ class LatticeFlow:
     def _pixels(self) -> NDArray[np.float64]:
         grid = np.meshgrid(np.arange(self.lattice.width), np.arange(self.lattice.height))
         return np.stack(grid, axis=-1).reshape(-1, 2).astype(np.float64)
+
+
+@numba.njit(cache=True, nogil=True)
+def bilinear(
+    grid: NDArray[np.float32], points: NDArray[np.float64], per_px: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Interpolate a grid (columns, rows, 2) at points (N, 2) px, constant beyond its border.
+
+    Args:
+        grid: the values at the nodes.
+        points: x and y; a point that is not finite gets NaN.
+        per_px: cells per pixel in x and y.
+
+    Returns:
+        (N, 2).
+    """
+    columns, rows = grid.shape[:2]
+    out = np.empty((len(points), 2), np.float32)
+    for i in range(len(points)):
+        x, y = points[i, 0] * per_px[0], points[i, 1] * per_px[1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            out[i] = np.nan
+            continue
+        x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
+        c, r = min(int(x), columns - 2), min(int(y), rows - 2)
+        a, b = x - c, y - r
+        for d in range(2):
+            left = (1 - b) * grid[c, r, d] + b * grid[c, r + 1, d]
+            right = (1 - b) * grid[c + 1, r, d] + b * grid[c + 1, r + 1, d]
+            out[i, d] = (1 - a) * left + a * right
+    return out

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from emoflow_ros.core.belief import KnownRotation, Structure
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import (
     Contrast,
@@ -18,20 +19,16 @@ from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
 from emoflow_ros.core.memory import Memory
-from emoflow_ros.core.motion_change import MotionChange
-from emoflow_ros.core.preparation import prepare
+from emoflow_ros.core.motion_windows import MotionChange
+from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader
-from emoflow_ros.core.second_look import SecondLook, distance
+from emoflow_ros.core.second_look import SecondLook, best_start, distance, fresh_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.structure import Structure
-from emoflow_ros.core.warm_flow import best_start, fresh_start, is_lost
 from emoflow_ros.core.windows import Window
-from emoflow_ros.core.working_image import WorkingImage
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, KnownRotation, Structure
+from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis
 from emoflow_ros.core.contrast import Contrast, ContrastFactory, WindowEvents
 from emoflow_ros.core.egomotion import (
     MOTION_UNKNOWNS,
@@ -14,12 +15,9 @@ from emoflow_ros.core.egomotion import (
     Residuals,
     Rotation,
 )
-from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.spline import CONTROL_POINTS, basis
-from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.belief import Belief, Structure
 from emoflow_ros.core.egomotion import Motion
 from emoflow_ros.core.lattice_fit import LatticeFit, MotionPrior
-from emoflow_ros.core.structure import Structure
 from emoflow_ros.core.windows import NS_PER_S, Window
 
 # Shares of the flow's change in a window that may go on: the events decide.

@@ -1,11 +1,21 @@
-"""Windows by motion: of each window only the latest part, as long as the motion allows."""
+"""Windows by motion: of each window only the latest part, as long as the motion allows.
+
+A part also has to be short enough for the fit to follow the changes of the motion within it, which
+`MotionChange` measures.
+"""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.contrast import ImageContrast, WindowEvents
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.preparation import reduction
 from emoflow_ros.core.windows import Window, WindowPolicy
-from emoflow_ros.core.working_image import reduction
+
+F32 = NDArray[np.float32]
 
 _GRID_PX = 16  # between the pixels whose displacement counts
 _STILL_PX = 1e-3
@@ -15,6 +25,10 @@ _FIRST = 0.25  # of the window in the first part, before any motion is known ...
 _SECOND = 2 / 3  # ... and where that shows none
 _CHANGE_PX = 2.0  # of the working image, off the fit: what else a part may contain
 _TOO_SHORT = 1.5  # a first part that the motion allows to be so much longer is taken anew
+
+_THIRD = 1 / 3  # of a window
+_FEW_EVENTS = 300  # tell nothing about a third
+_EVENTS = 3_000  # are enough at low resolution
 
 
 class MotionWindows:
@@ -107,3 +121,40 @@ class MotionWindows:
         times = np.linspace(part.t_start, part.t_end, _LEGS + 1).astype(np.int64).tolist()
         legs = np.diff(flow.tracks(self._grid, times), axis=0)
         return float(np.quantile(np.linalg.norm(legs, axis=-1).sum(axis=0), _FAST))
+
+
+class MotionChange:
+    """Measures how far the ends of a window move off its fitted flow.
+
+    Args:
+        lattice: of the flow.
+        contrast: at a low resolution, whose maxima are wide.
+    """
+
+    def __init__(self, lattice: Lattice, contrast: ImageContrast) -> None:
+        self._equations = NormalEquations(lattice, 0)
+        self._contrast = contrast
+
+    def measure(self, events: WindowEvents, flow: F32) -> float:
+        """Return how far the first or the last third of the window moves off the flow, px.
+
+        One Newton step on the contrast of the third's events alone, for a velocity that the whole
+        image shares; the larger of the two displacements within a third.
+
+        Args:
+            events: of the window.
+            flow: (columns, rows, times, 2) px per window.
+        """
+        return max(self._shift(events, flow, begin) for begin in (0.0, 1 - _THIRD))
+
+    def _shift(self, events: WindowEvents, flow: F32, begin: float) -> float:
+        part = events.between(begin, begin + _THIRD)
+        if len(part) < _FEW_EVENTS:
+            return 0.0
+        few = part.every(max(1, len(part) // _EVENTS))
+        equations = self._equations
+        equations.clear()
+        self._contrast.linearise(few, flow, equations.vector, equations.band, begin + _THIRD / 2)
+        force, stiffness = equations.of_common_shift()
+        regular = stiffness + 1e-6 * (1 + np.trace(stiffness)) * np.eye(2)
+        return float(np.linalg.norm(np.linalg.solve(regular, force))) * _THIRD

@@ -1,16 +1,23 @@
-"""Normal equations of the flow lattice, with a border for the egomotion."""
+"""Normal equations of the flow lattice with a border for the egomotion, and their numba kernels.
 
+Matrices are in lower band storage: band[j, i - j] is entry (i, j).
+"""
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, lapack
 
-from emoflow_ros.core import assembly
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 
 Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
+
+_compiled = numba.njit(cache=True, nogil=True)
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -63,12 +70,22 @@ class NormalEquations:
         return self.vector.reshape(-1, 2).sum(axis=0), np.array([[xx, xy], [xy, yy]])
 
     def add_smoothness(self, flow: NDArray[np.float32], config: LatticeConfig) -> None:
-        """Add the smoothness of a field (columns, rows, times, 2), px per window."""
+        """Add the prior on a field: smooth in space up to edges, and in time.
+
+        Args:
+            flow: (columns, rows, times, 2) px per window, to linearise at.
+            config: weights of the second differences in space and of the differences in time, and
+                the second difference (px per window) above which it counts as an edge.
+        """
         self.band[:, 0] += _RIDGE
-        self.lattice.smoothness(
-            flow, config.smoothness, config.edge_px, config.smoothness_in_time,
-            self.vector, self.band,
-        )  # fmt: skip
+        lattice = self.lattice
+        values = flow.reshape(-1, lattice.times, 2).astype(np.float64)
+        for nodes, coefficients in lattice.second_differences:
+            add_stencil(
+                values, nodes, coefficients, config.smoothness, config.edge_px,
+                self.vector, self.band,
+            )  # fmt: skip
+        add_differences_in_time(values, config.smoothness_in_time, self.vector, self.band)
 
     def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
         """Add weighted squares of residuals that each concern one node at one time.
@@ -78,7 +95,7 @@ class NormalEquations:
             by_further: (nodes, times, m) derivative by the further unknowns.
             weight, r: (nodes, times).
         """
-        assembly.add_rows(
+        add_rows(
             normal, by_further, weight, r,
             self.vector, self.band, self.border, self.corner, self.corner_vector,
         )  # fmt: skip
@@ -121,3 +138,139 @@ class NormalEquations:
         if not np.isfinite(step).all():
             raise NotPositiveDefiniteError
         return step, further, information
+
+
+@_compiled
+def gather_cells(
+    gradient: F32, curvature: F32, slope: float, stiffness: float, vector: F64, band: F64
+) -> None:
+    """Add the cells' gradients and curvatures to the lattice's vector and band matrix.
+
+    Args:
+        gradient, curvature: as `pull` fills them.
+        slope, stiffness: factors of the gradients and of the curvatures.
+        vector: (n,), n = columns * rows * times * 2.
+        band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
+    """
+    cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
+    rows, times = cells_y + 1, cells_t + 1
+    offset = np.empty(8, np.int64)
+    for c in range(cells_x):
+        for r in range(cells_y):
+            for q in range(cells_t):
+                for a in range(8):
+                    column, row, time = c + (a >> 2), r + ((a >> 1) & 1), q + (a & 1)
+                    offset[a] = 2 * ((column * rows + row) * times + time)
+                g = gradient[c, r, q]
+                h = curvature[c, r, q]
+                for a in range(8):
+                    i = offset[a]
+                    vector[i] += slope * g[0, a]
+                    vector[i + 1] += slope * g[1, a]
+                    for b in range(a + 1):  # offsets grow with the node: the lower triangle
+                        j = offset[b]
+                        d = i - j
+                        cross = stiffness * h[a, 1, b]
+                        band[j, d] += stiffness * h[a, 0, b]
+                        band[j + 1, d] += stiffness * h[a, 2, b]
+                        band[j, d + 1] += cross
+                        if b < a:
+                            band[j + 1, d - 1] += cross
+
+
+@_compiled
+def add_stencil(
+    flow: F64, nodes: NDArray[np.int64], coefficients: F64, weight: float, limit: float,
+    vector: F64, band: F64,
+) -> None:  # fmt: skip
+    """Add a robust penalty on linear combinations of neighbouring nodes.
+
+    Charbonnier: weight * T limit^2 * sqrt(1 + |z|^2 / (T limit^2)) with z the combination of
+    the flow's (u, v) over all T times, linearised as in iteratively reweighted least squares.
+
+    Args:
+        flow: (nodes, times, 2).
+        nodes: (M, K) indices of the nodes in each combination.
+        coefficients: (K,).
+        weight: stiffness of small differences.
+        limit: px per window, above which a difference counts as an edge.
+        vector, band: as in `gather_cells`; the vector gets the negative gradient.
+    """
+    times = flow.shape[1]
+    z = np.empty((times, 2))
+    for n in range(len(nodes)):
+        z[:] = 0.0
+        for k in range(nodes.shape[1]):
+            for q in range(times):
+                for d in range(2):
+                    z[q, d] += coefficients[k] * flow[nodes[n, k], q, d]
+        stiffness = weight / np.sqrt(1 + (z * z).sum() / (times * limit * limit))
+        for k in range(nodes.shape[1]):
+            for q in range(times):
+                for d in range(2):
+                    i = (nodes[n, k] * times + q) * 2 + d
+                    vector[i] -= stiffness * coefficients[k] * z[q, d]
+                    for m in range(k + 1):
+                        j = (nodes[n, m] * times + q) * 2 + d
+                        pair = stiffness * coefficients[k] * coefficients[m]
+                        if i >= j:
+                            band[j, i - j] += pair
+                        else:
+                            band[i, j - i] += pair
+
+
+@_compiled
+def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) -> None:
+    """Add a quadratic penalty on the flow's change from one time node to the next.
+
+    Args:
+        flow: (nodes, times, 2); weight, vector, band as in `add_stencil`.
+    """
+    nodes, times, _ = flow.shape
+    for n in range(nodes):
+        for q in range(times - 1):
+            for d in range(2):
+                j = (n * times + q) * 2 + d
+                change = weight * (flow[n, q + 1, d] - flow[n, q, d])
+                vector[j] += change
+                vector[j + 2] -= change
+                band[j, 0] += weight
+                band[j + 2, 0] += weight
+                band[j, 2] -= weight
+
+
+@_compiled
+def add_rows(
+    normal: F64, by_further: F64, weight: F64, r: F64,
+    vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,
+) -> None:  # fmt: skip
+    """Add weighted squares of residuals that each concern one node at one time.
+
+    Args:
+        normal: (nodes, times, 2) derivative of each residual by its node's flow.
+        by_further: (nodes, times, m) derivative by unknowns beside the flow.
+        weight, r: (nodes, times).
+        vector, band: as in `gather_cells`; the vectors get the negative gradient.
+        border: (n, m) second derivatives across.
+        corner, corner_vector: (m, m) and (m,), of the other unknowns.
+    """
+    nodes, times, further = by_further.shape
+    for n in range(nodes):
+        for q in range(times):
+            if weight[n, q] == 0.0:  # most are, of terms that hold for few nodes
+                continue
+            i = 2 * (n * times + q)
+            x, y = weight[n, q] * normal[n, q, 0], weight[n, q] * normal[n, q, 1]
+            vector[i] -= x * r[n, q]
+            vector[i + 1] -= y * r[n, q]
+            band[i, 0] += x * normal[n, q, 0]
+            band[i, 1] += x * normal[n, q, 1]
+            band[i + 1, 0] += y * normal[n, q, 1]
+            row = by_further[n, q]
+            for a in range(further):
+                weighted = weight[n, q] * row[a]
+                border[i, a] += weighted * normal[n, q, 0]
+                border[i + 1, a] += weighted * normal[n, q, 1]
+                corner_vector[a] -= weighted * r[n, q]
+                for b in range(further):
+                    corner[a, b] += weighted * row[b]

@@ -1,17 +1,85 @@
-"""Events of a window as the lattice fit takes them, or none if they cannot show motion."""
+"""Preparation of a window's events for the lattice fit, in the pixels of a working image.
+
+Events of hot pixels and of flickering lamps are left out; the others are thinned and moved to the
+working image.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import WindowEvents
-from emoflow_ros.core.flicker import without_flicker
-from emoflow_ros.core.hot_pixels import without_hot_pixels
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.windows import Window
-from emoflow_ros.core.working_image import WorkingImage
+
+_LONGER_SIDE_PX = 346  # that options in pixels are meant for; smaller sensors keep their pixels
 
 _SHORTEST_SPREAD = 0.1  # windows between the first and the last tenth of the events
 _BLOCK = 8  # px
 _FEWEST_BLOCKS = 16  # that hold events
+
+_FEWEST_HOT = 5  # events above what the neighbours explain
+_SHARE_OF_NEIGHBOURS = 0.5  # of the events of its eight neighbours that a pixel may have besides
+
+MAINS_HZ = (100.0, 120.0)
+
+_LAMP_BLOCK = 16  # sensor pixels along a side of a block
+_LAMP_PARTS = 3  # of the time, each of which must show the flicker by itself
+_SHORTEST_LAMP_S = 0.02  # two periods
+_COHERENT = 0.35  # share of the polarity that goes with the mains from which a block flickers
+_CERTAIN = 5.0  # n times the square of that: exp(-5) is its chance without flicker, per part
+_LAMP_SAMPLE = 20_000  # events that suffice
+
+
+@dataclass(frozen=True)
+class WorkingImage:
+    """The image that an estimator works on: that of a DAVIS346, whatever the sensor.
+
+    Texture, blur and errors of the flow are measured in pixels. On a sensor of twice as many
+    pixels the same scene takes twice the pixels, and every option in pixels would have to follow.
+    So the events are moved to an image of about 346 x 260 pixels, without rounding, and the flow
+    back. The time that a window takes then does not depend on the sensor, either.
+
+    Attributes:
+        sensor: the camera as it is.
+        camera: the same with the pixels of the working image.
+    """
+
+    sensor: Camera
+    camera: Camera
+
+    @classmethod
+    def of(cls, sensor: Camera) -> "WorkingImage":
+        """Choose the working image of a sensor."""
+        ratio = reduction(sensor)
+        if ratio == 1.0:
+            return cls(sensor, sensor)
+        width, height = (max(2, round((n - 1) / ratio) + 1) for n in sensor.size)
+        return cls(sensor, sensor.resized(width, height))
+
+    @property
+    def sensor_px(self) -> NDArray[np.float32]:
+        """Pixels of the sensor per pixel of the working image in x and y, (2,)."""
+        sensor, camera = np.array(self.sensor.size), np.array(self.camera.size)
+        return ((sensor - 1) / (camera - 1)).astype(np.float32)
+
+    def on_sensor(
+        self, lattice: Lattice, flow: NDArray[np.float32]
+    ) -> tuple[Lattice, NDArray[np.float32]]:
+        """Bring a lattice and its field (columns, rows, times, 2) to the sensor's pixels."""
+        if self.camera is self.sensor:
+            return lattice, flow
+        nodes = Lattice(*self.sensor.size, lattice.columns, lattice.rows, lattice.times)
+        return nodes, flow * self.sensor_px
+
+
+def reduction(sensor: Camera) -> float:
+    """Sensor pixels per pixel of the working image, 1 for sensors that are no larger."""
+    return max(1.0, (max(sensor.size) - 1) / (_LONGER_SIDE_PX - 1))
 
 
 def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> WindowEvents | None:
@@ -42,3 +110,79 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     if np.count_nonzero(np.bincount(blocks)) < _FEWEST_BLOCKS:
         return None
     return WindowEvents.prepare(x, y, s, events.p)
+
+
+def without_hot_pixels(events: Events, width: int, height: int) -> Events:
+    """Leave out the pixels that fire far more often than their eight neighbours together explain.
+
+    An edge crosses neighbouring pixels alike. A hot pixel fires alone; all its events lie at one
+    place, so that it holds the flow around it at zero.
+
+    Args:
+        events: on the sensor.
+        width, height: of the sensor in pixels.
+    """
+    columns = width + 2  # a frame of one pixel spares the border's cases
+    pixel = (events.y.astype(np.intp) + 1) * columns + events.x + 1
+    count = np.bincount(pixel, minlength=columns * (height + 2))
+    often = np.flatnonzero(count > _FEWEST_HOT)
+    around = sum(
+        count[often + dy * columns + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx
+    )
+    hot = np.zeros(len(count), np.bool_)
+    hot[often] = count[often] > _FEWEST_HOT + _SHARE_OF_NEIGHBOURS * around
+    return events[~hot[pixel]] if hot.any() else events
+
+
+def without_flicker(events: Events, width: int, height: int) -> Events:
+    """Leave out the events of the blocks of 16 x 16 pixels that flicker.
+
+    A lamp on mains of 50 or 60 Hz brightens and dims 100 or 120 times a second. Where its light
+    falls, all pixels fire ON together and OFF half a period later. An edge that moves fires once,
+    or at times that do not follow the mains.
+
+    The measure is |sum p exp(-2 pi i f t)| / n over the n events of a block, with p = +-1: near 1
+    where the light flickers, about 1 / sqrt(n) where edges move.
+
+    Args:
+        events: on the sensor, of at least 20 ms; shorter ones are returned as they are.
+        width, height: of the sensor in pixels.
+    """
+    seconds = (events.t - events.t[0]) * 1e-9 if len(events) else np.zeros(0)
+    if not len(events) or seconds[-1] < _SHORTEST_LAMP_S:
+        return events
+    step = max(1, len(events) // _LAMP_SAMPLE)
+    flickers = _flickering_blocks(events[::step], seconds[::step], width, height)
+    if not flickers.any():
+        return events
+    return events[~flickers[_lamp_blocks(events, width)]]
+
+
+def _flickering_blocks(
+    events: Events, seconds: NDArray[np.float64], width: int, height: int
+) -> NDArray[np.bool_]:
+    count = -(-width // _LAMP_BLOCK) * -(-height // _LAMP_BLOCK)
+    part = np.minimum((seconds * (_LAMP_PARTS / seconds[-1])).astype(np.intp), _LAMP_PARTS - 1)
+    cell = part * count + _lamp_blocks(events, width)
+    n = np.bincount(cell, minlength=_LAMP_PARTS * count).reshape(_LAMP_PARTS, count)
+    often = n.min(axis=0) >= _CERTAIN
+    flickers = np.zeros(count, np.bool_)
+    if not often.any():
+        return flickers
+    sign = np.where(events.p, 1.0, -1.0)
+    for frequency in MAINS_HZ:
+        angle = (2 * np.pi * frequency) * seconds
+        waves = [
+            np.bincount(cell, sign * wave(angle), _LAMP_PARTS * count).reshape(_LAMP_PARTS, count)
+            for wave in (np.cos, np.sin)
+        ]
+        coherence = np.hypot(*waves) / np.maximum(n, 1)
+        certain = (n * coherence**2).min(axis=0) > _CERTAIN
+        flickers |= certain & (coherence.min(axis=0) > _COHERENT)
+    return flickers
+
+
+def _lamp_blocks(events: Events, width: int) -> NDArray[np.intp]:
+    """Index of the block (N,) that each event lies in."""
+    columns = -(-width // _LAMP_BLOCK)
+    return (events.y // _LAMP_BLOCK).astype(np.intp) * columns + events.x // _LAMP_BLOCK

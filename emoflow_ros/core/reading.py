@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.gyro_faults import GyroStatus
+from emoflow_ros.core.gyro_checks import GyroStatus
 from emoflow_ros.core.lattice import LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
-from emoflow_ros.core.reliability import probability_of_failure
+from emoflow_ros.core.preparation import WorkingImage
+from emoflow_ros.core.second_look import probability_of_failure
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
 from emoflow_ros.core.windows import Window
-from emoflow_ros.core.working_image import WorkingImage
 
 Array = NDArray[np.float64]
 
@@ -126,7 +126,7 @@ class EstimateReader:
         flow = fit.node_flow.mean(axis=1)
         covariance = covariance_of(belief, flow, fit.evidence, window.duration, fit.known)
         if fit.known is not None:
-            return covariance
+            return covariance if turns else uncertainty.with_gyro(covariance)
         return uncertainty.calibrated(covariance, jump, evidence)
 
     def _judge(self, quality: Quality, motion: Motion) -> Quality:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS
+from emoflow_ros.core.camera_motion import cheirality
 from emoflow_ros.core.egomotion import NodeEpipolar
-from emoflow_ros.core.epipolar import cheirality
 from emoflow_ros.core.estimate import MotionModel
 from emoflow_ros.core.lattice_fit import FreeFlow
 

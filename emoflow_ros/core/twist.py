@@ -1,5 +1,6 @@
-"""Twists of a window at chosen times, at a known speed, in another frame."""
+"""Twists of a window at chosen times, at a speed known from elsewhere, in another frame."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,8 @@ from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.windows import NS_PER_S
 
 _MOST_SAMPLES = 10_000  # of one window, however long it is
+
+_KEPT = 1000  # speeds: seconds of any odometry
 
 
 @dataclass(frozen=True)
@@ -91,3 +94,26 @@ def sample(estimate: Estimate, times: Sequence[int]) -> list[Twist]:
 def at_middle(estimate: Estimate) -> Twist:
     """Return the twist at the time that the estimate's own values hold at."""
     return Twist(estimate.t, estimate.linear, estimate.angular)
+
+
+class SpeedLog:
+    """The latest speeds, and what they were at the time of a window. Times are in ns."""
+
+    def __init__(self) -> None:
+        self._times: deque[int] = deque(maxlen=_KEPT)
+        self._speeds: deque[float] = deque(maxlen=_KEPT)
+
+    def add(self, t: int, speed: float) -> None:
+        """Add a speed (m/s). One from before the last, as in a bag that loops, begins anew."""
+        if self._times and t < self._times[-1]:
+            self._times.clear()
+            self._speeds.clear()
+        self._times.append(t)
+        self._speeds.append(speed)
+
+    def at(self, t: int, max_age: int) -> float | None:
+        """Interpolate linearly at time t; None if no speed is from within max_age of it."""
+        since = np.array(self._times, np.int64) - t
+        if not (np.abs(since) <= max_age).any():
+            return None
+        return float(np.interp(0.0, since, self._speeds))

@@ -14,9 +14,8 @@ an estimate that jumps is less certain than its own window says.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, KnownRotation
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
-from emoflow_ros.core.known_rotation import KnownRotation
 from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
@@ -34,6 +33,7 @@ _USUAL_EVIDENCE = 645.0  # px^-2
 _OF_EVIDENCE = -0.8  # exponent
 _OF_JUMP = 0.05  # variance of w in squares of its second difference over three windows
 _FIRST_JUMP, _LARGEST_JUMP = np.radians([10.0, 60.0])  # rad/s
+_WITH_GYRO = np.repeat([0.4, 1.0], 3)  # of the covariance of (v, w) where a gyro takes part
 _WIDE = 2.0  # how far a motion may exceed what the flow's size suggests
 _ROS_ORDER = np.r_[3:6, 0:3]  # (v, w) from (w, v)
 
@@ -175,6 +175,11 @@ class MotionUncertainty:
         result: Array = np.outer(scale, scale) * covariance
         result[3:, 3:] += _OF_JUMP * min(jump, _LARGEST_JUMP) ** 2 * np.eye(3)
         return without_travel(result) if covariance[0, 0] < 0 else result
+
+    def with_gyro(self, covariance: Array) -> Array:
+        """Scale the covariance (6, 6) of (v, w) of a window in which a gyro took part."""
+        scale = np.sqrt(_WITH_GYRO)
+        return np.asarray(np.outer(scale, scale) * covariance)
 
     def of_events(self, flow: Array, information: Array, v: Array | None) -> tuple[Array, Array]:
         """Angular velocity that the events of one window tell by themselves.

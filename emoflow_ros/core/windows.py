@@ -1,4 +1,4 @@
-"""Causal time windows over an event stream."""
+"""Causal time windows over an event stream, and how many events they hold together."""
 
 from collections import deque
 from dataclasses import dataclass, replace
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.options import option
 from emoflow_ros.errors import InputError
 
@@ -184,3 +184,44 @@ class WindowSlicer:
             first += stride
         self._parts = deque([pending[first:]])
         return windows
+
+
+class DistinctEvents:
+    """A running count of the events in windows of one stream, in the order of the stream.
+
+    Every window holds all events of the stream from its first to its last one. Windows may overlap
+    and may leave gaps; each begins and ends no earlier than the one before it.
+
+    Attributes:
+        count: events in the windows so far, each once.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.start_anew()
+
+    def start_anew(self) -> None:
+        """Take the next window for one of another stream; the count goes on."""
+        self._end: int | None = None  # of the last window, ns
+        self._last = 0  # time of the latest event that is counted, ns
+        self._ties = 0  # counted events of that time
+
+    def add(self, window: Window) -> None:
+        """Count the events of the next window that no window before it held."""
+        t = window.events.t
+        if len(t) == 0:
+            return
+        known = 0
+        if self._end is not None and window.t_start < self._end:
+            before, through = (int(i) for i in np.searchsorted(t, [self._last, self._last + 1]))
+            # Of the events at that time a window by count may have left out the rest.
+            known = min(before + self._ties, through)
+        else:
+            self._ties = 0
+        last = int(t[-1])
+        if known < len(t):
+            ties = len(t) - max(known, int(np.searchsorted(t, last)))
+            self._ties = ties + (self._ties if last == self._last else 0)
+            self._last = last
+        self.count += len(t) - known
+        self._end = window.t_end

@@ -8,7 +8,7 @@ from typing import Any
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.windows import Window

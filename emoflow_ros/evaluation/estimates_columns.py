@@ -10,7 +10,7 @@ import h5py
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Quality
-from emoflow_ros.core.tracks import INSTANTS
+from emoflow_ros.core.products import INSTANTS
 
 _ROWS_PER_CHUNK = 256
 _TRACK_ROWS_PER_CHUNK = 16

@@ -88,12 +88,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add(
-        "input",
-        type=Path,
-        metavar="INPUT",
-        help=KNOWN_FORMATS,
-    )
+    add("input", type=Path, metavar="INPUT", help=KNOWN_FORMATS)
     add(
         "--gt",
         type=Path,

@@ -2,7 +2,7 @@
 
 EPE and outliers are defined as in MVSEC's evaluation (Zhu et al., RSS 2018), the angular error in
 space-time as in Barron et al., IJCV 1994. Confidence intervals and significance come from
-resampling windows (Efron and Tibshirani, 1993). Tracks are those of `core.tracks`.
+resampling windows (Efron and Tibshirani, 1993). Tracks are those of `core.products`.
 """
 
 import math
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.tracks import Points, Tracker, Tracks, interpolate
+from emoflow_ros.core.products import Points, Tracker, Tracks, interpolate
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.truth import FlowSource, Truth
 

@@ -45,7 +45,6 @@ _LEAD_IN = 4  # windows; a warm start has settled by then
 # A causal window ends with its interval and reaches back before it. Beyond this displacement the
 # change of the motion costs more accuracy than the further events gain.
 _REACH_PX = 12.0
-
 _IMAGE = "sensor_msgs/msg/Image"
 _IMAGE_NAMES = ("image_raw", "image_mono")
 

@@ -17,7 +17,7 @@ import yaml
 
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import BenchmarkSequence

@@ -18,8 +18,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.estimate import Estimate, Estimator
-from emoflow_ros.core.event_count import DistinctEvents
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.windows import DistinctEvents, Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.metrics import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.slicers import Slicer

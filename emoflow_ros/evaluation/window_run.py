@@ -11,7 +11,7 @@ from tqdm import tqdm
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import Published

@@ -21,8 +21,13 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
-from emoflow_ros.core.speed import SpeedLog
-from emoflow_ros.core.twist import Twist, at_middle, covariance_at_speed, covariance_in_frame
+from emoflow_ros.core.twist import (
+    SpeedLog,
+    Twist,
+    at_middle,
+    covariance_at_speed,
+    covariance_in_frame,
+)
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import OutputOptions, ScaleOptions

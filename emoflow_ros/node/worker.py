@@ -20,10 +20,14 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.flow_color import flow_to_rgb
-from emoflow_ros.core.gyro_readings import GyroReadings
-from emoflow_ros.core.sharpened import sharpened_events
-from emoflow_ros.core.tracks import Tracker, Tracks, trails_at_unit_depth
+from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.products import (
+    Tracker,
+    Tracks,
+    flow_to_rgb,
+    sharpened_events,
+    trails_at_unit_depth,
+)
 from emoflow_ros.core.twist import at_middle, sample
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
-from emoflow_ros.core.flow_color import color_wheel, flow_to_rgb
-from emoflow_ros.core.sharpened import warped_counts
-from emoflow_ros.core.tracks import Points, trails
+from emoflow_ros.core.products import Points, color_wheel, flow_to_rgb, trails, warped_counts
 from emoflow_ros.evaluation.metrics import end_point_error
 from emoflow_ros.evaluation.run_progress import Example
 from emoflow_ros.report.figures import style

@@ -3,7 +3,7 @@
 import numpy as np
 
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import cheirality
 from emoflow_ros.core.egomotion import NodeEpipolar
-from emoflow_ros.core.epipolar import cheirality
 from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.implicit.config import ImplicitConfig
+from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
 

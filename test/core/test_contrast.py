@@ -146,7 +146,8 @@ def test_gradient_by_a_change_within_the_window():
 
 
 def test_curvature_is_positive_semidefinite_and_leads_uphill():
-    events = moving_dots((8, -5))
+    """With so many events that the corners of single bilinear votes do not show."""
+    events = moving_dots((8, -5), per_dot=160)
     contrast = Contrast(LATTICE, 1.0)
     flow = constant(7.0, -4.2)
     for _ in range(8):

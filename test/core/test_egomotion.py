@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import basis
 from emoflow_ros.core.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.spline import basis
 
 LENSES = {
     "none": (),

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.epipolar import cheirality, dec_residual, motion_matrices
+from emoflow_ros.core.camera_motion import cheirality, dec_residual, motion_matrices
 
 MOTIONS = 300
 POINTS = 200

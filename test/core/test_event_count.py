@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.windows import DistinctEvents, Window, WindowPolicy, WindowSlicer
 
 MS = 1_000_000
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.flicker import without_flicker
+from emoflow_ros.core.preparation import without_flicker
 
 WIDTH, HEIGHT = 64, 48
 S = 1_000_000_000

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.flow_color import color_circle, color_wheel, flow_to_rgb
+from emoflow_ros.core.products import color_circle, color_wheel, flow_to_rgb
 
 
 def test_circle_has_the_published_steps():

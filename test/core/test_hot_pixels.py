@@ -1,7 +1,7 @@
 import numpy as np
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.hot_pixels import without_hot_pixels
+from emoflow_ros.core.preparation import without_hot_pixels
 
 WIDTH, HEIGHT = 40, 30
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from emoflow_ros.core import assembly, kernels
+from emoflow_ros.core import kernels, normal_equations
 from emoflow_ros.core.contrast import gaussian, smooth
 from emoflow_ros.core.lattice import Lattice
 
@@ -135,7 +135,7 @@ def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
     )
     vector = np.zeros(LATTICE.unknowns)
     band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
-    assembly.gather_cells(gradient, curvature, factor, 2 * factor, vector, band)
+    normal_equations.gather_cells(gradient, curvature, factor, 2 * factor, vector, band)
     band /= 2
     return vector, dense(band)
 
@@ -190,7 +190,7 @@ def test_stencil_and_differences_in_time_are_d_transposed_w_d(rng):
     matrix, pull = np.zeros((LATTICE.unknowns,) * 2), np.zeros(LATTICE.unknowns)
     per_value = np.eye(2 * times)
     for members, coefficients in LATTICE.second_differences:
-        assembly.add_stencil(flow, members, coefficients, weight, limit, vector, band)
+        normal_equations.add_stencil(flow, members, coefficients, weight, limit, vector, band)
         for row in members:
             combination = np.zeros((1, nodes))
             combination[0, row] = coefficients
@@ -199,7 +199,7 @@ def test_stencil_and_differences_in_time_are_d_transposed_w_d(rng):
             stiffness = weight / np.sqrt(1 + z @ z / (times * limit**2))
             matrix += stiffness * d.T @ d
             pull -= stiffness * d.T @ z
-    assembly.add_differences_in_time(flow, in_time, vector, band)
+    normal_equations.add_differences_in_time(flow, in_time, vector, band)
     d = np.kron(np.eye(nodes), np.kron(np.diff(np.eye(times), axis=0), np.eye(2)))
     matrix += in_time * d.T @ d
     pull -= in_time * d.T @ d @ flow.ravel()
@@ -218,7 +218,7 @@ def test_the_stencils_pull_is_the_gradient_of_charbonnier(rng):
 
     flow = rng.normal(size=(10, 3, 2))
     vector, band = np.zeros(60), np.zeros((60, 25))
-    assembly.add_stencil(flow, nodes, coefficients, weight, limit, vector, band)
+    normal_equations.add_stencil(flow, nodes, coefficients, weight, limit, vector, band)
     for n in range(60):
         step = 1e-5 * (np.arange(60) == n).reshape(flow.shape)
         slope = (penalty(flow + step) - penalty(flow - step)) / 2e-5

@@ -3,7 +3,7 @@ import pytest
 
 from emoflow_ros.core.contrast import Contrast, WindowEvents
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.motion_change import MotionChange
+from emoflow_ros.core.motion_windows import MotionChange
 
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
 CHANGE = MotionChange(LATTICE, Contrast(LATTICE, 0.25))

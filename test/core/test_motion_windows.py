@@ -15,7 +15,7 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
-from emoflow_ros.core.reliability import ReliableOnly
+from emoflow_ros.core.second_look import ReliableOnly
 from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy, WindowSlicer
 
 MS = 1_000_000

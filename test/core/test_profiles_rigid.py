@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.epipolar import motion_matrices
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.windows import NS_PER_S, WindowSlicer

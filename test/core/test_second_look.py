@@ -9,8 +9,7 @@ from emoflow_ros.core.contrast import Contrast, WindowEvents
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NotPositiveDefiniteError
-from emoflow_ros.core.second_look import SecondLook, distance
-from emoflow_ros.core.warm_flow import fresh_start
+from emoflow_ros.core.second_look import SecondLook, distance, fresh_start
 
 LATTICE = Lattice.with_spacing(160, 120, 26.0)
 NODES = LATTICE.columns * LATTICE.rows

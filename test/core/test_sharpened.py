@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.sharpened import sharpened_events, warped_counts
+from emoflow_ros.core.products import sharpened_events, warped_counts
 from emoflow_ros.core.windows import Window
 
 WIDTH, HEIGHT = 40, 20

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from emoflow_ros.core.spline import CONTROL_POINTS, SplineMotion, basis
+from emoflow_ros.core.camera_motion import CONTROL_POINTS, SplineMotion, basis
 
 MS = 1_000_000
 START = 1_500_000_000_000_000_000

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.core.belief import Structure
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.structure import Structure
 
 LATTICE = Lattice(346, 260, 14, 11)
 NODES = 14 * 11

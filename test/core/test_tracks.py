@@ -5,7 +5,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
-from emoflow_ros.core.tracks import (
+from emoflow_ros.core.products import (
     INSTANTS,
     Tracker,
     Tracks,

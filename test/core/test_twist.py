@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.twist import (
     Twist,
     at_middle,

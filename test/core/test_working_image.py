@@ -5,7 +5,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
-from emoflow_ros.core.working_image import WorkingImage, reduction
+from emoflow_ros.core.preparation import WorkingImage, reduction
 
 HD = Camera(1280, 720, 900.0, 910.0, 630.0, 350.0, "plumb_bob", (-0.3, 0.1, 1e-3, 2e-3))
 

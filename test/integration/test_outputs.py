@@ -16,7 +16,7 @@ from shared_node import SharedNode
 from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.flow_color import flow_to_rgb
+from emoflow_ros.core.products import flow_to_rgb
 
 pytestmark = pytest.mark.dds
 

@@ -9,9 +9,9 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_faults import GyroState
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.imu_input import ImuInput, MountingError, ReadingBuffer
 from emoflow_ros.node.tasks import Task

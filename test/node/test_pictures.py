@@ -10,7 +10,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.flow_color import flow_to_rgb
+from emoflow_ros.core.products import flow_to_rgb
 from emoflow_ros.core.windows import Window
 from emoflow_ros.node.tasks import Picture, Wishes
 from emoflow_ros.node.worker import Painter

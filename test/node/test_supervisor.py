@@ -11,7 +11,7 @@ from supervisor_bench import CAMERA, Bench
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import MotionModel, Status
-from emoflow_ros.core.flow_color import flow_to_rgb
+from emoflow_ros.core.products import flow_to_rgb
 from emoflow_ros.node.tasks import Loss, Picture, Wishes
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.tracks import INSTANTS
+from emoflow_ros.core.products import INSTANTS
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import ADDED, QUALITY
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates

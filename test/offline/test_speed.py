@@ -11,9 +11,9 @@ from emoflow_ros.core.windows import WindowSlicer
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.window_run import evaluate
 from emoflow_ros.readers import open_recording
-from emoflow_ros.truth import load_truth
 from emoflow_ros.simulation.recording import davis346, simulate
 from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
+from emoflow_ros.truth import load_truth
 
 SECONDS = 2.0
 MOST_PROCESSOR_SECONDS = 4 * SECONDS  # one core without company takes about real time

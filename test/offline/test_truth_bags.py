@@ -6,9 +6,9 @@ import pytest
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
-from emoflow_ros.truth import load_truth
 from emoflow_ros.simulation.recording import davis346, simulate
 from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
+from emoflow_ros.truth import load_truth
 
 START = 100 * NS_PER_S
 

@@ -3,13 +3,13 @@
 import cv2
 import numpy as np
 import pytest
-from emoflow_ros.offline.readers import open_recording
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_readings import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.ground_truth import (
     PERFECT,

@@ -6,15 +6,15 @@ import numpy as np
 import torch
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.device import require_cuda
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.implicit.assess import assess
-from emoflow_ros.core.implicit.config import ImplicitConfig
 from emoflow_ros.core.implicit.fit import Problem, fit
+from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.implicit.losses import PixelMaps
 from emoflow_ros.core.implicit.sampler import ImplicitFlow
-from emoflow_ros.core.spline import SplineMotion
 from emoflow_ros.core.windows import NS_PER_S, Window
 
 

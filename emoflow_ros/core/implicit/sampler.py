@@ -9,9 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from emoflow_ros.core.implicit.config import WarpConfig
-from emoflow_ros.core.implicit.field import CoordinateMLP
-from emoflow_ros.core.implicit.warp import warp
+from emoflow_ros.core.implicit.field import CoordinateMLP, warp
+from emoflow_ros.core.implicit.implicit_config import WarpConfig
 from emoflow_ros.core.windows import NS_PER_S
 
 # Points per evaluation: bounds the memory that the hidden layers take.

@@ -5,12 +5,15 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from emoflow_ros.core import epipolar
+from emoflow_ros.core import camera_motion
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.implicit.assess import assess
-from emoflow_ros.core.implicit.config import (
+from emoflow_ros.core.implicit.estimator import ImplicitEstimator
+from emoflow_ros.core.implicit.field import MotionSpline
+from emoflow_ros.core.implicit.fit import Fit, Problem
+from emoflow_ros.core.implicit.implicit_config import (
     EarlyStopConfig,
     FieldConfig,
     ImplicitConfig,
@@ -18,10 +21,7 @@ from emoflow_ros.core.implicit.config import (
     OptimizerConfig,
     WarpConfig,
 )
-from emoflow_ros.core.implicit.estimator import ImplicitEstimator
-from emoflow_ros.core.implicit.fit import Fit, Problem
 from emoflow_ros.core.implicit.losses import PixelMaps
-from emoflow_ros.core.implicit.motion import MotionSpline
 from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 
@@ -240,7 +240,7 @@ class MotionField(nn.Module):
 
     def __init__(self, maps: PixelMaps, v: np.ndarray, w: np.ndarray) -> None:
         super().__init__()
-        a, b = epipolar.motion_matrices(maps.bearings.double().numpy())
+        a, b = camera_motion.motion_matrices(maps.bearings.double().numpy())
         flow = torch.from_numpy(a @ v / 2 + b @ w).float()
         self.flow = torch.linalg.solve(maps.jacobian, flow)
 

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from emoflow_ros.core import epipolar
+from emoflow_ros.core import camera_motion
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import basis
 from emoflow_ros.core.implicit import losses
-from emoflow_ros.core.implicit.motion import MotionSpline
-from emoflow_ros.core.spline import basis
+from emoflow_ros.core.implicit.field import MotionSpline
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def motion_field(camera: Camera, seed: int) -> tuple[Array, Array, Array, Array,
         [rng.integers(0, camera.width, 200), rng.integers(0, camera.height, 200)], axis=-1
     )
     bearings, jacobian = camera.undistort(pixels.astype(float))
-    a, b = epipolar.motion_matrices(bearings)
+    a, b = camera_motion.motion_matrices(bearings)
     depth = rng.uniform(1, 10, (200, 1))
     to_pixels = np.linalg.inv(jacobian)
     rotation = np.einsum("nij,nj->ni", to_pixels, b @ w)
@@ -137,7 +137,7 @@ def test_dec_residual_agrees_with_its_definition_and_the_numpy_core() -> None:
     u = np.column_stack([flow, np.zeros(100)])
     expected = np.einsum("ni,ij,nj->n", u, vx, x) - np.einsum("ni,ij,nj->n", x, s, x)
     np.testing.assert_allclose(found, expected, atol=1e-12)
-    np.testing.assert_allclose(found, epipolar.dec_residual(bearings, flow, v, w), atol=1e-12)
+    np.testing.assert_allclose(found, camera_motion.dec_residual(bearings, flow, v, w), atol=1e-12)
 
 
 def test_minimising_the_dec_recovers_the_motion_of_an_exact_flow(small_camera: Camera) -> None:

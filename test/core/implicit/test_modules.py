@@ -4,17 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from emoflow_ros.core.implicit.config import (
+from emoflow_ros.core.camera_motion import SplineMotion, basis
+from emoflow_ros.core.implicit.field import CoordinateMLP, MotionSpline
+from emoflow_ros.core.implicit.fit import EarlyStopping, field_rate, make_optimizer
+from emoflow_ros.core.implicit.implicit_config import (
     EarlyStopConfig,
     FieldConfig,
     ImplicitConfig,
     LossConfig,
     OptimizerConfig,
 )
-from emoflow_ros.core.implicit.field import CoordinateMLP
-from emoflow_ros.core.implicit.motion import MotionSpline
-from emoflow_ros.core.implicit.schedule import EarlyStopping, field_rate, make_optimizer
-from emoflow_ros.core.spline import SplineMotion, basis
 from emoflow_ros.errors import InputError
 
 

@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.implicit.config import ImplicitConfig
+from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.options import options_of, replace_options
 
 

@@ -5,9 +5,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from emoflow_ros.core.implicit.config import FieldConfig, WarpConfig
-from emoflow_ros.core.implicit.field import CoordinateMLP
-from emoflow_ros.core.implicit.warp import warp
+from emoflow_ros.core.implicit.field import CoordinateMLP, warp
+from emoflow_ros.core.implicit.implicit_config import FieldConfig, WarpConfig
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
 

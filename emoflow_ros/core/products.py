@@ -1,4 +1,4 @@
-"""Point tracks: points carried along the estimated flow, from window to window."""
+"""What is drawn from a flow: point tracks, colour images and images of the warped events."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import Events
+from emoflow_ros.core.windows import NS_PER_S, Window
 
 # A window's tracks are sampled at its start, its end and 7 times in between.
 INSTANTS = 9
@@ -16,6 +17,24 @@ _SHOWN = 4  # of these, every fourth one is drawn: lines of half a window look s
 
 Points = NDArray[np.float64]
 Times = NDArray[np.int64]
+
+Image = NDArray[np.uint8]
+
+# The circle runs through six colours; the number of steps from each to the next.
+_CORNERS = (
+    ((255, 0, 0), 15),  # red to yellow
+    ((255, 255, 0), 6),  # to green
+    ((0, 255, 0), 4),  # to cyan
+    ((0, 255, 255), 11),  # to blue
+    ((0, 0, 255), 13),  # to magenta
+    ((255, 0, 255), 6),  # and back to red
+)
+_UNKNOWN = 0
+_TOO_LONG = 0.75  # colours beyond the longest length are darkened
+
+_SLICES = 32  # the events of one are moved alike: an error of 1/64 of the window's motion
+_MOST_EVENTS = 60_000
+_WHITE = 0.99  # quantile of the pixels with events that is shown white
 
 
 @dataclass(frozen=True)
@@ -155,3 +174,105 @@ def trails_at_unit_depth(windows: Sequence[Tracks], camera: Camera) -> NDArray[n
     fresh = 1 - ages * NS_PER_S / (windows[-1].times[-1] - windows[0].times[0])
     lines = np.concatenate([bearings, np.ones_like(bearings[..., :1]), fresh[..., None]], axis=-1)
     return lines[np.isfinite(lines).all(axis=(1, 2))].astype(np.float32)
+
+
+def color_circle() -> NDArray[np.float64]:
+    """Build the 55 colours of the circle, (55, 3) RGB in [0, 1].
+
+    They are those of Baker et al., "A Database and Evaluation Methodology for Optical Flow",
+    IJCV 2011, spaced by how well people tell them apart.
+    """
+    parts = []
+    for i, (start, steps) in enumerate(_CORNERS):
+        end = _CORNERS[(i + 1) % len(_CORNERS)][0]
+        ramp = np.arange(steps)[:, None] / steps
+        parts.append((1 - ramp) * start + ramp * np.array(end))
+    return np.concatenate(parts) / 255
+
+
+_CIRCLE = color_circle()
+
+
+def flow_to_rgb(flow: NDArray[np.floating], longest: float | None = None) -> Image:
+    """Colour a flow image: hue is direction, saturation is length.
+
+    Right is red, down is yellow, left is cyan-blue, up is violet; still pixels are white and
+    pixels that are not finite black.
+
+    Args:
+        flow: (H, W, 2), u right and v down, in any unit.
+        longest: the length shown in full colour, in the same unit; by default the 99th
+            percentile of this image. Longer vectors are darkened.
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+    """
+    known = np.isfinite(flow).all(axis=-1)
+    u, v = (np.where(known, flow[..., i], 0.0).astype(np.float64) for i in (0, 1))
+    length = np.hypot(u, v)
+    if longest is None:
+        longest = float(np.percentile(length[known], 99)) if known.any() else 1.0
+    radius = length / max(longest, 1e-12)
+    position = (np.arctan2(v, u) / (2 * np.pi)) % 1.0 * len(_CIRCLE)
+    low = position.astype(np.intp) % len(_CIRCLE)
+    weight = (position - np.floor(position))[..., None]
+    hue = (1 - weight) * _CIRCLE[low] + weight * _CIRCLE[(low + 1) % len(_CIRCLE)]
+    pale = 1 - np.minimum(radius, 1)[..., None] * (1 - hue)
+    rgb = np.where((radius > 1)[..., None], hue * _TOO_LONG, pale)
+    rgb[~known] = _UNKNOWN
+    return np.asarray(np.rint(rgb * 255), np.uint8)
+
+
+def color_wheel(size: int = 151) -> Image:
+    """Draw the legend: a disc of all directions and lengths up to `longest` on white."""
+    axis = np.linspace(-1, 1, size)
+    u, v = np.meshgrid(axis, axis)
+    rgb = flow_to_rgb(np.stack([u, v], -1), 1.0)
+    rgb[np.hypot(u, v) > 1] = 255
+    return rgb
+
+
+def sharpened_events(
+    window: Window, flow: FlowSampler, t: int, width: int, height: int
+) -> NDArray[np.uint8]:
+    """Draw the events where the flow carries them at time t (ns).
+
+    Windows of more than 60 000 events are thinned evenly, so that the time this takes is bounded.
+
+    Returns:
+        (height, width), black without events, white at their 99th percentile per pixel.
+    """
+    thinned = Window(window.t_start, window.t_end, _thinned(window.events))
+    counts = warped_counts(thinned, flow, t, width, height)
+    white = np.quantile(counts[counts > 0], _WHITE) if counts.any() else 1.0
+    return np.rint(np.minimum(counts / white, 1) * 255).astype(np.uint8)
+
+
+def warped_counts(
+    window: Window, flow: FlowSampler, t: int, width: int, height: int
+) -> NDArray[np.int64]:
+    """Count the events per pixel where the flow carries them at time t (ns), (height, width).
+
+    Each goes to its nearest pixel; those that leave the image are not counted.
+    """
+    moved = _carried(window.events, window, flow, t)
+    moved = np.rint(moved[np.isfinite(moved).all(axis=1)]).astype(np.int64)
+    x, y = moved[((moved >= 0) & (moved < (width, height))).all(axis=1)].T
+    return np.bincount(y * width + x, minlength=width * height).reshape(height, width)
+
+
+def _thinned(events: Events) -> Events:
+    return events[:: -(-len(events) // _MOST_EVENTS)] if len(events) else events
+
+
+def _carried(events: Events, window: Window, flow: FlowSampler, t: int) -> NDArray[np.float64]:
+    """Move the events (N, 2) along the flow, those of each slice of the window together."""
+    points = np.stack([events.x, events.y], axis=1).astype(np.float64)
+    edges = np.linspace(window.t_start, window.t_end, _SLICES + 1).astype(np.int64)
+    bounds = np.searchsorted(events.t, edges)
+    for i in range(_SLICES):
+        mine = slice(bounds[i], bounds[i + 1])
+        middle = int(edges[i] + edges[i + 1]) // 2
+        if mine.start < mine.stop:
+            points[mine] = flow.tracks(points[mine], (middle, t))[1]
+    return points

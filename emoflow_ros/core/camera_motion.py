@@ -1,14 +1,19 @@
-"""Motion field and differential epipolar constraint (DEC) of a calibrated camera.
+"""Motion of a calibrated camera: its spline over a window, motion field and epipolar constraint.
 
 With bearings X = (x, y, 1) on the undistorted normalised plane and flow U in 1/s there, a
-static scene at depth Z moves as U = A v / Z + B w (Heeger and Jepson, IJCV 1992). The DEC
-eliminates Z: what is left of U after rotation is parallel to A v.
+static scene at depth Z moves as U = A v / Z + B w (Heeger and Jepson, IJCV 1992). The
+differential epipolar constraint (DEC) eliminates Z: what is left of U after rotation is parallel
+to A v. The motion over a window is one segment of a uniform cubic B-spline (method.md, section 2).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+CONTROL_POINTS = 4
 
 
 def motion_matrices(bearings: Array) -> tuple[Array, Array]:
@@ -73,3 +78,56 @@ def cheirality(bearings: Array, flow: Array, v: Array, w: Array, weights: Array)
 def _apply(matrix: Array, vector: Array) -> Array:
     """Multiply (N, 2, 3) by (3,) or (N, 3)."""
     return np.einsum("nij,nj->ni", matrix, np.broadcast_to(vector, (len(matrix), 3)))
+
+
+def basis(s: ArrayLike) -> NDArray[np.float64]:
+    """Evaluate the uniform cubic B-spline basis.
+
+    Args:
+        s: (...) position in the segment, 0 at its start and 1 at its end.
+
+    Returns:
+        (..., 4) weights of the control points; they sum to 1.
+    """
+    s = np.asarray(s, np.float64)
+    return (
+        np.stack(
+            [
+                (1 - s) ** 3,
+                3 * s**3 - 6 * s**2 + 4,
+                -3 * s**3 + 3 * s**2 + 3 * s + 1,
+                s**3,
+            ],
+            axis=-1,
+        )
+        / 6
+    )
+
+
+@dataclass(frozen=True)
+class SplineMotion:
+    """Angular velocity and direction of the linear velocity over one window.
+
+    Attributes:
+        t_start, t_end: the window, ns.
+        angular_points: (4, 3) control points, rad/s.
+        linear_points: (4, 3) control points, without a scale; zeros if not observable.
+    """
+
+    t_start: int
+    t_end: int
+    angular_points: NDArray[np.float64]
+    linear_points: NDArray[np.float64]
+
+    def _basis(self, t: int) -> NDArray[np.float64]:
+        return basis((t - self.t_start) / (self.t_end - self.t_start))
+
+    def angular(self, t: int) -> NDArray[np.float64]:
+        """Angular velocity at time t (ns), (3,) rad/s."""
+        return self._basis(t) @ self.angular_points
+
+    def linear(self, t: int) -> NDArray[np.float64]:
+        """Direction of the linear velocity at time t (ns), (3,) unit, or zeros."""
+        v = self._basis(t) @ self.linear_points
+        norm = np.linalg.norm(v)
+        return v / norm if norm > 0 else np.zeros(3)

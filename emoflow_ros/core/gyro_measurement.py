@@ -1,0 +1,171 @@
+"""Readings of a gyro, and the angular velocity that they measure over an interval.
+
+Readings are on the events' clock and in the camera's optical frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Further from a reading than this the angular velocity is not known, ns.
+REACH_NS = 30_000_000
+
+# How a camera may turn where there is no reading: beyond the last one, and between two.
+_ACCELERATION = 20.0  # rad/s^2
+_CURVATURE = 1000.0  # rad/s^3, the angular velocity's second derivative
+
+
+@dataclass(frozen=True)
+class GyroReadings:
+    """Angular velocities as a gyro measures them: with its bias, and perhaps not finite.
+
+    Attributes:
+        t: (N,) int64 ns on the events' clock, increasing.
+        w: (N, 3) rad/s in the camera's optical frame.
+    """
+
+    t: NDArray[np.int64]
+    w: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @classmethod
+    def mounted(
+        cls,
+        t: NDArray[np.int64],
+        w: NDArray[np.float64],
+        rotation: NDArray[np.float64],
+        offset_ns: int = 0,
+    ) -> "GyroReadings":
+        """Bring readings into the camera's frame and onto its clock.
+
+        A reading that is no later than one before it is left out.
+
+        Args:
+            t: (N,) int64 ns, stamps of the gyro.
+            w: (N, 3) rad/s in the gyro's axes.
+            rotation: (3, 3) from the gyro's axes to the optical frame.
+            offset_ns: that is added to the stamps.
+        """
+        later = np.ones(len(t), np.bool_)
+        later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+        kept = w[later]
+        # Not a matrix product, whose rounding depends on how many readings there are.
+        turned = sum(kept[:, k, None] * rotation[None, :, k] for k in range(3))
+        return cls(t[later] + offset_ns, np.asarray(turned, np.float64))
+
+    def covering(self, t_start: int, t_end: int, reach_ns: int = REACH_NS) -> "GyroReadings":
+        """Return the readings of an interval (ns) and the next one on either side.
+
+        Those beside it are left out if they are further from it than `reach_ns`.
+        """
+        first = max(0, int(np.searchsorted(self.t, t_start, "right")) - 1)
+        last = int(np.searchsorted(self.t, t_end)) + 1
+        near = self.t[first:last]
+        inside = (near >= t_start - reach_ns) & (near <= t_end + reach_ns)
+        return GyroReadings(near[inside], self.w[first:last][inside])
+
+
+@dataclass(frozen=True)
+class GyroMeasurement:
+    """The angular velocity of an interval, without the bias as far as that is known.
+
+    Over s = 0 at the interval's start to 1 at its end, w(s) = c[0] + c[1] (2s - 1) +
+    c[2] (6s^2 - 6s + 1).
+
+    Attributes:
+        t_start, t_end: the interval, ns.
+        coefficients: c, (3, 3) rad/s; a row for each polynomial, a column for each axis.
+        covariances: (3, 3, 3) of each row; that of the bias is in the first one.
+    """
+
+    t_start: int
+    t_end: int
+    coefficients: Array
+    covariances: Array
+
+    @property
+    def w(self) -> Array:
+        """Mean angular velocity (3,), rad/s."""
+        return self.coefficients[0]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of the mean: noise, bias, scale, mounting, clock and gaps."""
+        return self.covariances[0]
+
+    @property
+    def middle(self) -> Array:
+        """Angular velocity (3,) in the middle of the interval, rad/s."""
+        return self.coefficients[0] - 0.5 * self.coefficients[2]
+
+    @property
+    def middle_covariance(self) -> Array:
+        """Covariance (3, 3) of the angular velocity in the middle."""
+        covariance: Array = self.covariances[0] + 0.25 * self.covariances[2]
+        return covariance
+
+    def at(self, s: float) -> Array:
+        """Angular velocity (3,) at s in [0, 1] of the interval, rad/s."""
+        w: Array = np.array([1.0, 2 * s - 1, 6 * s * (s - 1) + 1]) @ self.coefficients
+        return w
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A polynomial of second degree: constant, linear and quadratic part of w over an interval.
+
+    Attributes:
+        coefficients: (3, 3) rad/s, of the Legendre polynomials of degree 0, 1 and 2 (rows) over
+            the interval, for each axis (columns); the first row is the mean.
+        gap_variance: of the mean, (rad/s)^2, by what happens between two readings.
+    """
+
+    coefficients: Array
+    gap_variance: float
+
+
+def fit_shape(readings: GyroReadings, t_start: int, t_end: int) -> Shape:
+    """Fit readings that are joined by straight lines and held where they begin or end inside.
+
+    Args:
+        readings: one at least, finite, in the order of time.
+        t_start, t_end: the interval, ns.
+    """
+    inside = readings.t[(readings.t > t_start) & (readings.t < t_end)]
+    knots = np.concatenate([[t_start], inside, [t_end]]).astype(np.int64)
+    since = (knots - t_start).astype(np.float64)
+    own = (readings.t - t_start).astype(np.float64)
+    w = np.stack([np.interp(since, own, readings.w[:, axis]) for axis in range(3)], axis=1)
+    x = 2 * since / since[-1] - 1
+    coefficients = np.empty((3, 3))
+    for degree in range(3):
+        coefficients[degree] = (degree + 0.5) * _integral(x, w, degree)
+    return Shape(coefficients, _gap_variance(readings, t_start, t_end))
+
+
+def _integral(x: Array, w: Array, degree: int) -> Array:
+    """Integrate w, linear between the knots x (N,), times a Legendre polynomial over x."""
+    middle = 0.5 * (x[1:] + x[:-1])
+    # Simpson's rule is exact for the third degree.
+    weighted = _legendre(x, degree)[:, None] * w
+    between = _legendre(middle, degree)[:, None] * 0.5 * (w[1:] + w[:-1])
+    steps = np.diff(x)[:, None] / 6
+    total: Array = (steps * (weighted[:-1] + 4 * between + weighted[1:])).sum(axis=0)
+    return total
+
+
+def _legendre(x: Array, degree: int) -> Array:
+    return (np.ones_like(x), x, 1.5 * x**2 - 0.5)[degree]
+
+
+def _gap_variance(readings: GyroReadings, t_start: int, t_end: int) -> float:
+    gaps = np.diff(readings.t) / 1e9
+    held = np.array([int(readings.t[0]) - t_start, t_end - int(readings.t[-1])]) / 1e9
+    between = ((_CURVATURE * gaps**3 / 12) ** 2).sum()
+    beyond = ((_ACCELERATION * np.maximum(held, 0.0) ** 2 / 2) ** 2).sum()
+    return float((between + beyond) / ((t_end - t_start) / 1e9) ** 2)
