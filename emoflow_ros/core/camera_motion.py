@@ -3,7 +3,7 @@
 With bearings X = (x, y, 1) on the undistorted normalised plane and flow U in 1/s there, a
 static scene at depth Z moves as U = A v / Z + B w (Heeger and Jepson, IJCV 1992). The
 differential epipolar constraint (DEC) eliminates Z: what is left of U after rotation is parallel
-to A v. The motion over a window is one segment of a uniform cubic B-spline (method.md, section 2).
+to A v. The motion over a window is one segment of a uniform cubic B-spline (docs/method.md).
 """
 
 from dataclasses import dataclass

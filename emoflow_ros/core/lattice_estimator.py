@@ -253,7 +253,7 @@ class LatticeEstimator:
         return after
 
     def _is_confined(self) -> bool:
-        """Tell whether all that moves is one spot: an object before a camera at rest, it may be."""
+        """Tell whether all motion is at one spot: perhaps an object before a camera at rest."""
         return self.config.model == "auto" and self.lattice.spread(self._evidence()) < _CONFINED
 
     def _evidence(self) -> Array:

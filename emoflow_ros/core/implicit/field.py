@@ -14,7 +14,7 @@ from emoflow_ros.core.implicit.implicit_config import FIXED_SOLVERS, FieldConfig
 class CoordinateMLP(nn.Module):
     """Map time and position to flow by a ReLU network with residual layers.
 
-    The (encoded) input enters again halfway, into layer 5 of 8 (method.md, section 2).
+    The (encoded) input enters again halfway, into layer 5 of 8 (docs/published_method.md).
 
     Args:
         config: the network's size and encoding.

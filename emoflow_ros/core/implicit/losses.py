@@ -1,4 +1,4 @@
-"""Losses of the published method (method.md, section 3), in PyTorch."""
+"""Losses of the published method (docs/published_method.md), in PyTorch."""
 
 from dataclasses import dataclass
 
