@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.readers.reader_base import Imu
-from emoflow_ros.simulation.ground_truth import (
+from emoflow_ros.simulation.simulated_truth import (
     GroundTruth,
     ImuModel,
     measure_rotation,

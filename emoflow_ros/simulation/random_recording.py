@@ -15,7 +15,6 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import Factors, draw_factors
-from emoflow_ros.simulation.ground_truth import GroundTruth
 from emoflow_ros.simulation.random_scene import (
     GRID,
     coarse_truth,
@@ -35,6 +34,7 @@ from emoflow_ros.simulation.sensor import (
     hot_pixels,
     lose_bursts,
 )
+from emoflow_ros.simulation.simulated_truth import GroundTruth
 from emoflow_ros.simulation.textures import random_textures
 
 __all__ = ["Factors", "RandomRecording", "draw_factors", "random_truth", "simulate_random"]

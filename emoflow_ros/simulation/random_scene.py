@@ -7,10 +7,10 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.simulation.factors import Factors
-from emoflow_ros.simulation.ground_truth import GroundTruth
 from emoflow_ros.simulation.random_layout import Layout, mover_box, quad_distance, random_layout
 from emoflow_ros.simulation.random_motion import Demand, Path, mover_path, random_path
 from emoflow_ros.simulation.scene import Quad, Scene, Trajectory
+from emoflow_ros.simulation.simulated_truth import GroundTruth
 
 CLEARANCE = 0.3  # m, from the camera to any static surface, at least
 _CLEARANCE_SHARE = 0.25  # of the typical depth: the camera keeps its distance from walls

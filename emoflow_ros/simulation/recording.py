@@ -10,7 +10,6 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.simulation.ground_truth import GroundTruth
 from emoflow_ros.simulation.raycast import RayCaster
 from emoflow_ros.simulation.scene import (
     MOVING,
@@ -28,6 +27,7 @@ from emoflow_ros.simulation.scene import (
     cuboid,
 )
 from emoflow_ros.simulation.sensor import EventPixels, SensorModel, background_noise
+from emoflow_ros.simulation.simulated_truth import GroundTruth
 from emoflow_ros.simulation.textures import make_textures
 
 _TEXTURES = 6

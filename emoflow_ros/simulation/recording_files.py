@@ -19,9 +19,9 @@ from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation import messages as msg
 from emoflow_ros.simulation.factors import Factors
-from emoflow_ros.simulation.ground_truth import ImuModel, SimulatedImu, simulate_imu
 from emoflow_ros.simulation.messages import ImuSample, MessageEncoder, ros_distortion
 from emoflow_ros.simulation.recording import SimulatedRecording
+from emoflow_ros.simulation.simulated_truth import ImuModel, SimulatedImu, simulate_imu
 
 FORMATS = ("rosbag1", "rosbag2")
 _TRUTH_PERIOD = NS_PER_S // 20  # depth and flow, as in MVSEC

@@ -10,7 +10,6 @@ from emoflow_ros.core.options import options_of, replace_options
 from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import draw_factors, factor_specs
-from emoflow_ros.simulation.ground_truth import PERFECT, ImuModel
 from emoflow_ros.simulation.random_recording import simulate_random
 from emoflow_ros.simulation.recording import LENSES, SCENES, SimulatedRecording, davis346, simulate
 from emoflow_ros.simulation.recording_files import (
@@ -20,6 +19,7 @@ from emoflow_ros.simulation.recording_files import (
     write_recording,
 )
 from emoflow_ros.simulation.sensor import SensorModel
+from emoflow_ros.simulation.simulated_truth import PERFECT, ImuModel
 
 RANDOM = "random"
 _OF_SCENES = ("distortion", "fps", "threshold", "mismatch", "refractory_us", "noise")

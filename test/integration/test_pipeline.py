@@ -18,10 +18,10 @@ from shared_node import SharedNode
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.node.supervisor import FACTORY
-from emoflow_ros.simulation.ground_truth import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.recording_files import data_topics, write_bag
+from emoflow_ros.simulation.simulated_truth import ImuModel, simulate_imu
 
 pytestmark = pytest.mark.dds
 

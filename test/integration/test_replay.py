@@ -18,10 +18,10 @@ from sensor_msgs.msg import Imu
 from shared_node import SharedNode
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.simulation.ground_truth import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.recording_files import data_topics, write_bag
+from emoflow_ros.simulation.simulated_truth import ImuModel, simulate_imu
 
 pytestmark = pytest.mark.dds
 

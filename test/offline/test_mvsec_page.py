@@ -12,10 +12,10 @@ import yaml
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.readers import open_recording
-from emoflow_ros.simulation.ground_truth import ImuModel, simulate_imu
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.recording_files import data_topics, write_bag
+from emoflow_ros.simulation.simulated_truth import ImuModel, simulate_imu
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "mvsec.md").read_text()

@@ -15,8 +15,8 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.readers.reader_base import Imu
-from emoflow_ros.simulation.ground_truth import GroundTruth
 from emoflow_ros.simulation.recording import build_scene
+from emoflow_ros.simulation.simulated_truth import GroundTruth
 from emoflow_ros.truth import Truth
 from emoflow_ros.truth.ground_truth import PoseTrack
 

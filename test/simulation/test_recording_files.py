@@ -10,11 +10,11 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.factors import draw_factors
-from emoflow_ros.simulation.ground_truth import PERFECT, ImuModel
 from emoflow_ros.simulation.messages import EVENT_ARRAY, OPTICAL_FRAME, MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.recording_files import FORMATS, OutputPaths, write_recording
 from emoflow_ros.simulation.sensor import SensorModel
+from emoflow_ros.simulation.simulated_truth import PERFECT, ImuModel
 
 # Few events, so that rosbags can make an object of each.
 QUIET = SensorModel(threshold_on=1.0, threshold_off=1.0, noise_hz=0.5)

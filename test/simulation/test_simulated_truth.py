@@ -11,13 +11,6 @@ from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation import simulate as executable
-from emoflow_ros.simulation.ground_truth import (
-    PERFECT,
-    GroundTruth,
-    ImuModel,
-    measure_rotation,
-    simulate_imu,
-)
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import (
     LENSES,
@@ -27,6 +20,13 @@ from emoflow_ros.simulation.recording import (
     davis346,
 )
 from emoflow_ros.simulation.recording_files import data_topics, write_bag
+from emoflow_ros.simulation.simulated_truth import (
+    PERFECT,
+    GroundTruth,
+    ImuModel,
+    measure_rotation,
+    simulate_imu,
+)
 
 START = 1_500_000_000_000_000_000
 MS = 1_000_000
