@@ -103,8 +103,8 @@ class ImageContrast(Protocol):
         vector: NDArray[np.float64],
         band: NDArray[np.float64],
         ref: float = 0.5,
-    ) -> float:
-        """Add gradient and curvature of the contrast between the window's parts; return it."""
+    ) -> None:
+        """Add gradient and curvature of the contrast between the window's parts."""
         ...
 
 
@@ -174,7 +174,7 @@ class Contrast:
         vector: NDArray[np.float64],
         band: NDArray[np.float64],
         ref: float = 0.5,
-    ) -> float:
+    ) -> None:
         """Add gradient and curvature of the contrast between the window's parts.
 
         With the images I_a of n parts, n / (n - 1) sum_(a < b) I_a . I_b: the contrast of all
@@ -182,9 +182,6 @@ class Contrast:
         of the window the image of all events stays in place while the flow changes, so that the
         events' stiffness alone is the right curvature. The image of the other parts moves
         against an event: by another 1 / (n - 1).
-
-        Returns:
-            That contrast.
         """
         position = self._warp(events, flow, ref)
         parts = self._parts
@@ -194,14 +191,13 @@ class Contrast:
         np.subtract(parts.sum(axis=0), parts, out=parts)  # now what the other parts draw
         self._gradient[:] = 0.0
         self._curvature[:] = 0.0
-        potential = kernels.pull(
+        kernels.pull(
             events.x, events.y, events.s, events.weights, ref, position,
             parts, self.scale, self.lattice.per_px, STIFFNESS_STRIDE,
             self._gradient, self._curvature,
         )  # fmt: skip
         slope = self._area * PAIRS
         gather_cells(self._gradient, self._curvature, slope, slope * PAIRS, vector, band)
-        return 0.5 * slope * potential
 
     def _warp(self, events: WindowEvents, flow: F32, ref: float) -> F32:
         position = np.empty((2, len(events)), np.float32)

@@ -64,7 +64,7 @@ class TorchContrast:
         self._field = torch.zeros(lattice.unknowns // 2, 4, device=device)
         self._field_on_host = host_buffer(tuple(self._field.shape), device)
         self._cells = (lattice.columns - 1, lattice.rows - 1, lattice.times - 1)
-        self._of_gradient = 1 + int(np.prod(self._cells)) * 2 * 8  # behind the contrast
+        self._of_gradient = int(np.prod(self._cells)) * 2 * 8
         of_curvature = int(np.prod(self._cells)) * 8 * 3 * 8
         self._answer = torch.zeros(self._of_gradient + of_curvature, device=device)
         self._answer_on_host = host_buffer(tuple(self._answer.shape), device)
@@ -95,21 +95,16 @@ class TorchContrast:
         vector: NDArray[np.float64],
         band: NDArray[np.float64],
         ref: float = 0.5,
-    ) -> float:
-        """Add gradient and curvature of the contrast between the window's parts.
-
-        Returns:
-            That contrast.
-        """
+    ) -> None:
+        """Add gradient and curvature of the contrast between the window's parts."""
         self._load(events, flow, ref)
         self._run()
         self._answer_on_host.copy_(self._answer)  # waits
         answer = self._answer_on_host.numpy()
-        gradient = answer[1 : self._of_gradient].reshape(*self._cells, 2, 8)
+        gradient = answer[: self._of_gradient].reshape(*self._cells, 2, 8)
         curvature = answer[self._of_gradient :].reshape(*self._cells, 8, 3, 8)
         slope = self._area * PAIRS
         gather_cells(gradient, curvature, slope, slope * PAIRS, vector, band)
-        return 0.5 * slope * float(answer[0])
 
     def _load(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> None:
         """Send the window's events, where they are new, and the field with its acceleration."""
@@ -142,9 +137,8 @@ class TorchContrast:
         parts = self._vote(self._parts, at, weights, first).view(PARTS, *self._shape)
         parts = self._smooth(parts, self._taps_twice)
         others = (parts.sum(dim=0) - parts).ravel()
-        potential, slope = self._slope(others, at, first)
         lever = weights * events.lever[:, 0] * self.scale
-        pull = lever * slope
+        pull = lever * self._slope(others, at, first)
         lever = lever * events.lever[:, 0] * self.scale * events.copies
         stiffness = _semidefinite(*(lever * self._bend(others, at, first)))
         by_node = (stiffness[..., None] * events.basis).transpose(0, 1).flatten(1)  # (S, 24)
@@ -153,8 +147,7 @@ class TorchContrast:
         sums = events.basis.view(blocks, -1, 8).transpose(1, 2) @ rows
         sums = (events.members @ sums.flatten(1)).view(cells, 8, 26)
         gradient, curvature = sums[..., :2].transpose(1, 2), sums[..., 2:]
-        total = (weights * potential).sum()[None]
-        torch.cat([total, gradient.flatten(), curvature.flatten()], out=self._answer)
+        torch.cat([gradient.flatten(), curvature.flatten()], out=self._answer)
 
     def _warp(self) -> Tensor:
         """Warp the events to the middle along the field, (S, 2) px, as `kernels.warp`."""
@@ -171,11 +164,11 @@ class TorchContrast:
     def _draw(self, position: Tensor, weights: Tensor) -> Tensor:
         """Draw the smoothed image of events at positions (N, 2) px."""
         at, inside = self._on_image(position)
-        image = self._vote(self._image, at, weights * inside, torch.zeros_like(at[:, 0]).long())
+        image = self._vote(self._image, at, weights * inside, 0)
         return self._smooth(image.view(1, *self._shape), self._taps)
 
-    def _vote(self, images: Tensor, at: Tensor, weights: Tensor, first: Tensor) -> Tensor:
-        """Add weighted events at positions (N, 2) of images whose first pixels are `first` (N,)."""
+    def _vote(self, images: Tensor, at: Tensor, weights: Tensor, first: Tensor | int) -> Tensor:
+        """Add weighted events at positions (N, 2) of images that begin at `first`, (N,) or one."""
         index, (fx, fy) = self._pixel(at)
         shares = torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
         places = (first + index + self._corners).ravel()
@@ -193,14 +186,16 @@ class TorchContrast:
             down = conv2d(images[:, None], taps[None, None, :, None], padding=(radius, 0))
             return conv2d(down, taps[None, None, None], padding=(0, radius))[:, 0]
 
-    def _slope(self, images: Tensor, at: Tensor, first: Tensor) -> tuple[Tensor, Tensor]:
-        """Bilinear interpolants (N,) of the images at positions, and their gradients (2, N)."""
+    def _slope(self, images: Tensor, at: Tensor, first: Tensor) -> Tensor:
+        """Gradients (2, N) of the images' bilinear interpolants at positions."""
         index, (fx, fy) = self._pixel(at)
         p00, p01, p10, p11 = images[first + index + self._corners]
-        along_x = torch.stack([p01 - p00, p11 - p10])
-        above, below = torch.stack([p00, p10]) + fx * along_x
-        slope = torch.stack([along_x[0] + fy * (along_x[1] - along_x[0]), below - above])
-        return above + fy * (below - above), slope
+        return torch.stack(
+            [
+                (1 - fy) * (p01 - p00) + fy * (p11 - p10),
+                (1 - fx) * (p10 - p00) + fx * (p11 - p01),
+            ]
+        )
 
     def _bend(self, images: Tensor, at: Tensor, first: Tensor) -> Tensor:
         """Negative second differences (3, N) around the nearest pixel: xx, xy, yy."""

@@ -152,7 +152,7 @@ def pull(
     stride: int,
     gradient: F32,
     curvature: F32,
-) -> float:
+) -> None:
     """Add each event's pull, and its stiffness, to its lattice cell.
 
     An event at x' climbs the potential: its gradient is that of the bilinear interpolant
@@ -170,9 +170,6 @@ def pull(
             the cell's nodes with time innermost and the column outermost.
         curvature: (columns - 1, rows - 1, times - 1, 8, 3, 8), added to: for each pair of
             nodes xx, xy, yy.
-
-    Returns:
-        The sum of the events' potentials, times their weights.
     """
     parts, h, w = potentials.shape
     cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
@@ -183,7 +180,6 @@ def pull(
     share = np.float32(stride)
     node = np.empty(8, np.float32)
     stiff = np.empty((3, 8), np.float32)
-    total = 0.0
     events = len(x)
     for part in range(parts):
         potential = potentials[part]
@@ -212,8 +208,6 @@ def pull(
             p01 = potential[i, j + 1]
             p10 = potential[i + 1, j]
             p11 = potential[i + 1, j + 1]
-            across = (one - fy) * ((one - fx) * p00 + fx * p01) + fy * ((one - fx) * p10 + fx * p11)
-            total += weights[k] * across
             dt = (middle - s[k]) * zoom
             lever = weights[k] * dt
             gx = lever * ((one - fy) * (p01 - p00) + fy * (p11 - p10))
@@ -254,4 +248,3 @@ def pull(
                 for d in range(3):
                     for b in range(8):
                         cell[a, d, b] += n * stiff[d, b]
-    return total

@@ -33,8 +33,8 @@ _BETTER = 1.05  # contrast of a constant flow over that of the fit from which th
 
 # Logistic regression of "the end-point error exceeds half of the displacement, or w is off by 3 of
 # its standard deviations and 5 deg/s" over 3200 windows of the random recordings with seeds 0 to
-# 59 and those of the shared data; by five-fold cross-validation over recordings its area under the
-# ROC curve is 0.81 (docs/method.md).
+# 59 and those of the shared data; on these windows its area under the ROC curve is 0.81
+# (docs/method.md).
 _CONSTANT = -2.419
 _OF_SECOND_LOOK = 1.303  # natural logarithm of the distance plus 0.1 px
 

@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -5,6 +7,7 @@ from scipy.ndimage import convolve1d
 
 from emoflow_ros.core import kernels
 from emoflow_ros.core.contrast import (
+    PAIRS,
     PARTS,
     Contrast,
     WindowEvents,
@@ -40,14 +43,19 @@ def constant(u, v, lattice=LATTICE):
     return np.broadcast_to(np.float32([u, v]), lattice.shape).copy()
 
 
-def equations_at(contrast, events, flow) -> tuple[float, NormalEquations]:
+def equations_at(contrast, events, flow) -> NormalEquations:
     equations = NormalEquations(contrast.lattice, 0)
-    value = contrast.linearise(events, flow, equations.vector, equations.band)
-    return value, equations
+    contrast.linearise(events, flow, equations.vector, equations.band)
+    return equations
 
 
 def value_at(contrast, events, flow) -> float:
-    return equations_at(contrast, events, flow)[0]
+    """The contrast between parts: that of all events without those of each part by itself."""
+    total, _ = contrast.sharpen(events, flow)
+    cuts = [len(events) * k // PARTS for k in range(PARTS + 1)]
+    columns = (events.x, events.y, events.s, events.weights)
+    parts = [WindowEvents(*(c[i:j] for c in columns)) for i, j in pairwise(cuts)]
+    return PAIRS * (total - sum(contrast.sharpen(part, flow)[0] for part in parts))
 
 
 def away_from_kinks(events, flow, scale) -> WindowEvents:
@@ -113,7 +121,8 @@ def test_gradient_is_that_of_autograd(scale, roughness):
     flow = constant(6.2, -3.9) + rng.normal(scale=roughness, size=LATTICE.shape)
     flow = flow.astype(np.float32)
     events = away_from_kinks(moving_dots((8, -5)), flow, scale)
-    value, equations = equations_at(Contrast(LATTICE, scale), events, flow)
+    equations = equations_at(Contrast(LATTICE, scale), events, flow)
+    value = value_at(Contrast(LATTICE, scale), events, flow)
     expected_value, expected = reference_gradient(events, flow, scale)
     assert value == pytest.approx(expected_value, rel=1e-5)
     assert np.linalg.norm(equations.vector - expected) < 5e-5 * np.linalg.norm(expected)
@@ -125,7 +134,7 @@ def test_gradient_is_the_slope_of_the_contrast(scale, u):
     """A constant flow that shifts as a whole, by finite differences."""
     events = away_from_kinks(moving_dots((8, -5)), constant(*u), scale)
     contrast = Contrast(LATTICE, scale)
-    _, equations = equations_at(contrast, events, constant(*u))
+    equations = equations_at(contrast, events, constant(*u))
     h = 0.01
     for axis, (du, dv) in enumerate(((h, 0), (0, h))):
         ahead = value_at(contrast, events, constant(u[0] + du, u[1] + dv))
@@ -137,7 +146,7 @@ def test_gradient_is_the_slope_of_the_contrast(scale, u):
 
 def test_gradient_by_a_change_within_the_window():
     events, contrast, h = moving_dots((8, -5)), Contrast(LATTICE, 0.25), 0.01
-    _, equations = equations_at(contrast, events, constant(0, 0))
+    equations = equations_at(contrast, events, constant(0, 0))
     change = np.ones(LATTICE.shape, np.float32) * np.float32([-1, 1])[:, None]
     ahead = value_at(contrast, events, h * change)
     behind = value_at(contrast, events, -h * change)
@@ -151,7 +160,8 @@ def test_curvature_is_positive_semidefinite_and_leads_uphill():
     contrast = Contrast(LATTICE, 1.0)
     flow = constant(7.0, -4.2)
     for _ in range(8):
-        before, equations = equations_at(contrast, events, flow)
+        before = value_at(contrast, events, flow)
+        equations = equations_at(contrast, events, flow)
         equations.band[:, 0] += 1.0
         flow = flow + equations.solve().reshape(LATTICE.shape).astype(np.float32)
         after = value_at(contrast, events, flow)

@@ -57,17 +57,16 @@ def random_flow(rng, shape, scale: float = 4.0):
     return rng.normal(scale=scale, size=shape).astype(np.float32)
 
 
-def linearised(contrast, events, flow, ref: float = 0.5) -> tuple[float, NormalEquations]:
+def linearised(contrast, events, flow, ref: float = 0.5) -> NormalEquations:
     equations = NormalEquations(contrast.lattice, 0)
-    value = contrast.linearise(events, flow, equations.vector, equations.band, ref)
-    return value, equations
+    contrast.linearise(events, flow, equations.vector, equations.band, ref)
+    return equations
 
 
 def assert_alike(contrast, reference, events, flow, ref: float = 0.5):
     """Float32 sums in another order: 1e-6 of the largest entries; 1e-5 is asked for."""
-    value, equations = linearised(contrast, events, flow, ref)
-    expected_value, expected = linearised(reference, events, flow, ref)
-    assert value == pytest.approx(expected_value, rel=1e-5)
+    equations = linearised(contrast, events, flow, ref)
+    expected = linearised(reference, events, flow, ref)
     for mine, its in ((equations.vector, expected.vector), (equations.band, expected.band)):
         assert np.abs(its).max() > 0.01
         np.testing.assert_allclose(mine, its, atol=1e-5 * np.abs(its).max())
@@ -136,7 +135,7 @@ def test_a_step_copies_the_field_and_the_cells_and_asks_the_device_for_nothing_e
     with Recorder() as step:
         linearised(contrast, events, random_flow(rng, grid.shape))
     nodes, cells = 5 * 4 * 2, 4 * 3 * 1
-    assert step.copied == [4 * nodes * 4, 4 * (1 + cells * (2 * 8 + 8 * 3 * 8))]
+    assert step.copied == [4 * nodes * 4, 4 * cells * (2 * 8 + 8 * 3 * 8)]
     waiting = {"_local_scalar_dense", "nonzero", "masked_select", "unique_dim", "bincount"}
     assert not waiting & set(step.names)
     assert [name for name in loading.names if name in waiting] == ["_local_scalar_dense"]
