@@ -45,9 +45,8 @@ class Belief:
     covariance: Array
 
     @classmethod
-    def from_information(cls, t: int, w: Array, v: Array, information: Array) -> "Belief":
-        """Build it from the information of the normal equations on (w, v)."""
-        covariance = INFORMATION_EXCESS * np.linalg.inv(information)
+    def of(cls, t: int, w: Array, v: Array, covariance: Array) -> "Belief":
+        """Build it from a covariance (6, 6) of (w, v), whatever that says along v."""
         across = np.eye(6)
         across[3:, 3:] -= np.outer(v, v)
         covariance = across @ covariance @ across.T

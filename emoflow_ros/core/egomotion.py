@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 _DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
 _REWEIGHTINGS = 4
 
+# Variance of a node's flow that more events do not lessen, px^2 per window^2 (docs/method.md): of
+# depth edges and of the lattice between its nodes.
+_LASTING_PX2 = 0.6
+
 # (3,) rad per window and its information (3, 3)
 type Rotation = tuple[Array, Array]
 _UNKNOWN: Rotation = (np.zeros(3), np.zeros((3, 3)))
@@ -29,6 +33,20 @@ MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
 
 # Derivatives by a constant (w, v) from those by all control points, (24, 6).
 _CONSTANT = np.kron(np.eye(2), np.tile(np.eye(3), (CONTROL_POINTS, 1)))
+
+
+def trusted(information: Array) -> Array:
+    """Inverse covariance of a measured flow from the contrast's curvature.
+
+    Args:
+        information: (nodes, 2, 2) curvature, px^-2. It grows with the number of events without a
+            bound; the flow's error does not shrink like that.
+
+    Returns:
+        (nodes, 2, 2).
+    """
+    result: Array = np.linalg.solve(np.eye(2) + _LASTING_PX2 * information, information)
+    return result
 
 
 @dataclass(frozen=True)

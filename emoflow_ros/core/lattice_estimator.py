@@ -28,6 +28,7 @@ from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader
 from emoflow_ros.core.second_look import SecondLook, best_start, distance, fresh_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
+from emoflow_ros.core.uncertainty import PossibleMotions
 from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
@@ -76,7 +77,7 @@ class LatticeEstimator:
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
         self._last: Memory | None = None
-        self._reader.uncertainty.forget()
+        self._reader.forget()
         self._selector = ModelSelector()
 
     def estimate(self, window: Window) -> Estimate:
@@ -229,8 +230,8 @@ class LatticeEstimator:
             w, cost = rotations[best], costs[best]
             middle = w
         turn, turn_cost = self._epipolar.rotation(*free.evidence)
-        self._reader.uncertainty.weigh_others(
-            (middle, present), (rotations, directions, costs - cost), (turn, turn_cost - cost)
+        self._reader.possible = PossibleMotions.weigh(
+            (middle, present), (directions, rotations, costs - cost), (turn, turn_cost - cost)
         )
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
@@ -264,17 +265,20 @@ class LatticeEstimator:
         """Remember the window that was fitted, and report it."""
         fit = self._fit
         assert fit.motion is not None
-        belief = fit.belief(window)
+        model = self._selector.model
+        belief = self._reader.believe(window, self._free, model, quality.second_look_px)
         flow = fit.node_flow.mean(axis=1)
         motion = fit.motion.at(0.5)
         structure = Structure.observe(self._epipolar, flow, motion, fit.evidence, fit.structure)
-        travels = self._selector.model is not MotionModel.ROTATION
+        travels = model is not MotionModel.ROTATION
         self._last = Memory(
             window.t_start, window.t_end, fit.flow, fit.motion,
             belief if travels else None, structure if travels else None,
         )  # fmt: skip
         if window.gyro is not None:
-            w, covariance = self._reader.rotation_of_events(self._free, self._selector.model)
+            w, covariance = self._reader.rotation_of_events(
+                self._free, model, quality.second_look_px
+            )
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
         return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
 

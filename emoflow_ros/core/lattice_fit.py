@@ -1,6 +1,7 @@
 """Fit of a window: Newton steps on contrast, smoothness and DEC, flow and motion at once."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from emoflow_ros.core.egomotion import (
     NodeEpipolar,
     Residuals,
     Rotation,
+    trusted,
 )
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -65,11 +67,11 @@ class MotionPrior:
         return cls(unit * np.concatenate([belief.w, belief.v]), information / np.outer(unit, unit))
 
     def surprise(self, directions: Array) -> Array:
-        """Cost (M,) that directions of v (M, 3), of either sign, would bring with them."""
+        """Cost (M,) that directions of v (M, 3), of either sign, would add to that of the flow."""
         of_v = np.linalg.inv(np.linalg.inv(self.information)[3:, 3:])
         apart = np.stack([directions - self.mean[3:], directions + self.mean[3:]])
         cost: Array = np.einsum("smi,ij,smj->sm", apart, of_v, apart).min(axis=0)
-        return cost
+        return cost / INFORMATION_EXCESS
 
 
 @dataclass(frozen=True)
@@ -79,18 +81,23 @@ class FreeFlow:
     Attributes:
         flow: (nodes, 2) px per window, the mean over the window.
         information: (nodes, 2, 2) of the events on it.
-        known: what else is known of w, its mean over the window in rad, or None.
+        known: what else is known of w: its mean over the window in rad, and the information on
+            it. Or None.
     """
 
     flow: Array
     information: Array
     known: Rotation | None = None
 
+    @cached_property
+    def seen(self) -> tuple[Array, Array]:
+        """The flow and what can be trusted of the information on it, as NodeEpipolar takes it."""
+        return self.flow, trusted(self.information)
+
     @property
     def evidence(self) -> tuple[Array, Array] | tuple[Array, Array, Rotation]:
-        """All of it, as NodeEpipolar takes it."""
-        seen = self.flow, self.information
-        return seen if self.known is None else (*seen, self.known)
+        """The same with what else is known of w."""
+        return self.seen if self.known is None else (*self.seen, self.known)
 
 
 class LatticeFit:
@@ -105,8 +112,6 @@ class LatticeFit:
         front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along
             -v, 0 if that is not known.
         evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
-        information: (25, 25) on the motion's unknowns after the last step with a motion. That the
-            motion is straight adds to it only where it is known, not where the evidence chose it.
         step_px: root mean square of the last step of the flow.
     """
 
@@ -128,15 +133,16 @@ class LatticeFit:
         self.straight = False
         self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
-        self.information = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
         self.step_px = 0.0
         self._equations = NormalEquations(lattice, MOTION_UNKNOWNS)
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
         roughness = second.T @ second + 0.1 * first.T @ first
         self._roughness = np.kron(roughness, np.eye(3)).astype(np.float64)
-        self._stillness = np.zeros_like(self.information)  # of a camera that does not turn
-        still = INFORMATION_EXCESS * (epipolar.px_per_rad / _STRAIGHT_PX) ** 2
+        self._stillness = np.zeros(
+            (MOTION_UNKNOWNS, MOTION_UNKNOWNS)
+        )  # of a camera that does not turn
+        still = INFORMATION_EXCESS * self._of_no_turn
         np.fill_diagonal(self._stillness[: 3 * CONTROL_POINTS, : 3 * CONTROL_POINTS], still)
 
     @property
@@ -153,21 +159,10 @@ class LatticeFit:
         self.evidence = equations.node_information()
         equations.add_smoothness(self.flow, self.config)
 
-    def belief(self, window: Window) -> Belief:
-        """Read (w, v) in the window's middle and their covariance off the last step."""
-        w, v = self._require_motion().at(0.5)
-        unit = np.repeat([window.duration, 1.0], 3)
-        reduced = np.linalg.inv(TO_MIDDLE @ np.linalg.inv(self.information) @ TO_MIDDLE.T)
-        middle = (window.t_start + window.t_end) // 2
-        return Belief.from_information(
-            middle, w / window.duration, v, reduced * np.outer(unit, unit)
-        )
-
     def free_flow(self) -> FreeFlow:
         """Solve the present normal equations without the epipolar constraint."""
         step = self._equations.solve().reshape(-1, self.lattice.times, 2)
-        known = (self.known.mean, self.known.information) if self.known is not None else None
-        return FreeFlow((self.node_flow + step).mean(axis=1), self.evidence, known)
+        return FreeFlow((self.node_flow + step).mean(axis=1), self.evidence, self._known_rotation)
 
     def step_free(self) -> None:
         """Step the flow by contrast and smoothness alone."""
@@ -209,7 +204,7 @@ class LatticeFit:
         if self.known is not None:
             self.known.add_to(motion.w, equations.corner, equations.corner_vector)
         equations.corner[half:, half:] = np.eye(MOTION_UNKNOWNS - half)  # v is not asked for
-        step, change, self.information = equations.solve_bordered()
+        step, change = equations.solve_bordered()
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -226,11 +221,23 @@ class LatticeFit:
         for residuals, weight in terms:
             self._equations.add_rows(residuals.by_flow, residuals.by_motion, weight, residuals.r)
         self._add_motion_priors(motion, prior)
-        step, change, self.information = self._equations.solve_bordered()
-        if self.straight and self.config.model == "auto":
-            self.information -= self._stillness
+        step, change = self._equations.solve_bordered()
         self.motion = motion.moved(change)
         self._move(step)
+
+    @property
+    def _known_rotation(self) -> Rotation | None:
+        """What the gyro says of w, or that the camera is known not to turn."""
+        if self.known is not None:
+            return self.known.mean, self.known.information / INFORMATION_EXCESS
+        if self.config.model == "translation":
+            return np.zeros(3), self._of_no_turn * np.eye(3)
+        return None
+
+    @property
+    def _of_no_turn(self) -> float:
+        """Information on each component of w, rad per window, of a camera that does not turn."""
+        return (self.epipolar.px_per_rad / _STRAIGHT_PX) ** 2
 
     def _front_term(self, motion: Motion) -> tuple[Residuals, Array]:
         """Flow from behind the camera, against that of an infinite depth, the nearest possible."""

@@ -111,12 +111,11 @@ class NormalEquations:
             raise NotPositiveDefiniteError
         return step
 
-    def solve_bordered(self) -> tuple[Array, Array, Array]:
+    def solve_bordered(self) -> tuple[Array, Array]:
         """Solve for the field and the further unknowns at once, by the Schur complement.
 
         Returns:
-            The steps (n,) and (m,), and the (m, m) information that is left on the further
-            unknowns when the field is marginalised.
+            The steps (n,) and (m,).
 
         Raises:
             NotPositiveDefiniteError: there is no minimum.
@@ -128,16 +127,16 @@ class NormalEquations:
         both[:, 0], both[:, 1:] = self.vector, self.border
         both, _ = lapack.dtbtrs(factor, both, uplo="L", overwrite_b=1)
         of_field, across = both[:, 0], both[:, 1:]
-        information = self.corner - across.T @ across
+        marginal = self.corner - across.T @ across
         try:
-            further = cho_solve(cho_factor(information), self.corner_vector - across.T @ of_field)
+            further = cho_solve(cho_factor(marginal), self.corner_vector - across.T @ of_field)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefiniteError from error
         left = (of_field - across @ further)[:, None]
         step = lapack.dtbtrs(factor, left, uplo="L", trans="T")[0][:, 0]
         if not np.isfinite(step).all():
             raise NotPositiveDefiniteError
-        return step, further, information
+        return step, further
 
 
 @_compiled

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import Belief
-from emoflow_ros.core.camera_motion import SplineMotion
+from emoflow_ros.core.camera_motion import SplineMotion, basis
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.gyro_checks import GyroStatus
@@ -16,7 +16,7 @@ from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.second_look import probability_of_failure
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.uncertainty import MotionUncertainty, without_travel
+from emoflow_ros.core.uncertainty import Claims, PossibleMotions, without_travel
 from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
@@ -32,17 +32,52 @@ class EstimateReader:
         config: of the estimator.
 
     Attributes:
-        uncertainty: of the egomotion.
+        possible: motions that may explain the flow of the present window.
     """
 
     def __init__(
         self, image: WorkingImage, epipolar: NodeEpipolar, fit: LatticeFit, config: LatticeConfig
     ) -> None:
-        self.uncertainty = MotionUncertainty(fit.lattice, epipolar)
         self._image = image
         self._epipolar = epipolar
         self._fit = fit
         self._config = config
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the windows so far."""
+        self.possible = PossibleMotions()
+        self._claims = Claims()
+
+    def believe(self, window: Window, free: FreeFlow, model: MotionModel, apart: float) -> Belief:
+        """Tell the motion in the middle of a window that has been fitted, and its covariance.
+
+        Args:
+            window: its interval.
+            free: the flow as the events alone see it.
+            model: of the motion.
+            apart: distance to the second fit of the flow, px per window.
+        """
+        fit = self._fit
+        assert fit.motion is not None
+        w, v = fit.motion.at(0.5)
+        possible = self.possible
+        if model is not MotionModel.ROTATION:
+            v = v + possible.mean[3:]
+            v = v / np.linalg.norm(v)
+        if model is MotionModel.FULL:
+            w = w + possible.mean[:3]
+        flow = fit.node_flow.mean(axis=1)
+        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
+        squares = ((flow - self._epipolar.b @ w) ** 2).sum(axis=-1)
+        parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
+        known = None if free.known is None else free.known[1]
+        covariance = possible.covariance(apart, parallax, self._epipolar.px_per_rad, known)
+        unit = np.repeat([window.duration, 1.0], 3)
+        if fit.known is not None:
+            w = w + fit.known.bend
+        middle = (window.t_start + window.t_end) // 2
+        return Belief.of(middle, w / window.duration, v, covariance / np.outer(unit, unit))
 
     def read(
         self, window: Window, belief: Belief, selector: ModelSelector, quality: Quality,
@@ -52,7 +87,7 @@ class EstimateReader:
 
         Args:
             window: its interval.
-            belief: what the fit says of (w, v) in its middle.
+            belief: in (w, v) in its middle.
             selector: which model the evidence speaks for.
             quality: all but what is read off the fit here.
             gyro: whether a gyro took part.
@@ -60,22 +95,22 @@ class EstimateReader:
         fit = self._fit
         assert fit.motion is not None
         model = selector.model
-        w, v = fit.motion.at(0.5)
-        rotation = self._rotation(w, model)
-        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
-        jump = self.uncertainty.jump_of(rotation / window.duration)
-        covariance = self._covariance(belief, jump, evidence, window, model)
         travels = model is not MotionModel.ROTATION
         front = np.copysign(1.0, selector.agreement) if travels else 0.0
-        if self._config.model == "auto" and not self.uncertainty.claims(front * v) and travels:
+        claimed = self._claims.claim(front * belief.v, self.possible)
+        if self._config.model == "auto" and not claimed:
             model, front = MotionModel.ROTATION, 0.0
+        covariance = belief.across()
+        if model is MotionModel.ROTATION:
             covariance = without_travel(covariance)
+        w, v = fit.motion.at(0.5)
+        length = float(np.linalg.norm(basis(0.5) @ fit.motion.v))
         lattice, field = self._image.on_sensor(fit.lattice, fit.flow)
         motion = SplineMotion(
             window.t_start,
             window.t_end,
-            (fit.motion.w + (rotation - w)) / window.duration,
-            front * fit.motion.v,
+            fit.motion.w / window.duration + (belief.w - w / window.duration),
+            front * (fit.motion.v + length * (belief.v - v)),
         )
         return Estimate(
             window.t_start,
@@ -84,50 +119,42 @@ class EstimateReader:
             Status.OK,
             self._judge(quality, fit.motion),
             model,
-            front * v,
-            rotation / window.duration,
+            front * belief.v,
+            belief.w,
             covariance,
             LatticeFlow(lattice, field, window.t_start, window.t_end),
             motion,
             gyro,
         )
 
-    def rotation_of_events(self, free: FreeFlow, model: MotionModel) -> tuple[Array, Array]:
+    def rotation_of_events(
+        self, free: FreeFlow, model: MotionModel, apart: float
+    ) -> tuple[Array, Array]:
         """Tell the angular velocity without the gyro, for the gyro to learn from.
 
         Args:
             free: the flow as the events alone see it.
             model: of the motion.
+            apart: distance to the second fit of the flow, px per window.
 
         Returns:
             w (3,) in the middle of the window and its covariance (3, 3), rad per window.
         """
-        fit = self._fit
+        fit, epipolar = self._fit, self._epipolar
         assert fit.motion is not None
-        v = fit.motion.at(0.5)[1] if model is not MotionModel.ROTATION else None
-        w, covariance = self.uncertainty.of_events(free.flow, free.information, v)
-        return (w if fit.known is None else w + fit.known.bend), covariance
-
-    def _rotation(self, w: Array, model: MotionModel) -> Array:
-        """Mean (3,) of the possible angular velocities in the middle, rad per window."""
-        rotation = w if self._fit.known is None else w + self._fit.known.bend
-        if model is MotionModel.FULL:
-            rotation = rotation + self.uncertainty.mean_rotation
-        return rotation
-
-    def _covariance(
-        self, belief: Belief, jump: float, evidence: Array, window: Window, model: MotionModel
-    ) -> Array:
-        if self._config.model == "translation":
-            return belief.across()  # that the camera does not turn is known
-        fit, uncertainty = self._fit, self.uncertainty
-        turns = model is MotionModel.ROTATION
-        covariance_of = uncertainty.of_rotation if turns else uncertainty.of_travel
-        flow = fit.node_flow.mean(axis=1)
-        covariance = covariance_of(belief, flow, fit.evidence, window.duration, fit.known)
-        if fit.known is not None:
-            return covariance if turns else uncertainty.with_gyro(covariance)
-        return uncertainty.calibrated(covariance, jump, evidence)
+        possible = PossibleMotions()
+        turn, turn_cost = epipolar.rotation(*free.seen)
+        w = turn
+        if model is not MotionModel.ROTATION:
+            v = fit.motion.at(0.5)[1]
+            w, cost = epipolar.score(v, *free.seen)
+            directions, rotations, costs = epipolar.search(*free.seen)
+            possible = PossibleMotions.weigh(
+                (w, v), (directions, rotations, costs - cost), (turn, turn_cost - cost)
+            )
+        covariance = possible.covariance(apart, 1.0, epipolar.px_per_rad)[:3, :3]
+        bend = 0.0 if fit.known is None else fit.known.bend
+        return w + possible.mean[:3] + bend, covariance
 
     def _judge(self, quality: Quality, motion: Motion) -> Quality:
         """Add residuals of the epipolar constraint and the probability of failure."""

@@ -1,68 +1,107 @@
 """How uncertain the egomotion of a window is.
 
-Three parts add up. The normal equations say what white errors of the events do. An error of the
-flow that is smooth over the image does not average out: it looks like a rotation or a travel, and
-later windows of the same scene repeat it, so that no memory averages it either (a consider
-covariance: Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.4). And other
-directions of travel may explain the flow nearly as well, each with a rotation of its own: the
-estimate of w is the mean over them, and their spread counts.
+Many motions may explain the flow of a window nearly as well: a turn looks much like a sideways
+travel. Each direction of travel, with the best rotation for it, and a camera that only turns have a
+cost: the squared residuals of the flow, by its inverse covariance. exp(-cost / 2) is how likely
+such a motion is. The estimate is the mean over them, and their spread is a part of its covariance.
 
-The sum is scaled by the evidence, and how far w is from where the last two windows lead is added:
-an estimate that jumps is less certain than its own window says.
+The other part is the error of the flow that the residuals do not show. A second fit of the flow
+that does not know the first one (core.second_look) shows how large it is.
 """
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, KnownRotation
-from emoflow_ros.core.egomotion import Motion, NodeEpipolar
-from emoflow_ros.core.lattice import Lattice
-
 Array = NDArray[np.float64]
 
-# Chosen on the random recordings with seeds 0 to 59 and those of the shared data (docs/method.md).
-_BIAS_PX = 0.15  # each polynomial of the flow's smooth error
-_POSSIBLE = 20.0  # cost over that of the best motion at which another one is 1/e as likely
-_AS_ROTATION = 20.0  # weight of a camera that only turns, against 1 of each direction of travel
-_CLAIMED = 0.45  # rad: spread of the possible directions of travel from which none is claimed
+# Chosen on the random recordings with seeds 0 to 59 and those of another simulator
+# (docs/method.md).
+_OF_W, _OF_V = 0.45, 0.2  # shares of the distance of the second fit that are w's and v's errors
+_LEAST_PX, _MOST_PX = 0.3, 4.0  # of that distance: it is a sample, which may be small by chance
+_LEAST_PARALLAX_PX = 0.1
+_CLAIMED = 0.3  # rad: spread of the possible directions of travel from which none is claimed
 _LASTING = 3  # windows before this one, of which ...
 _CONFIRMING = 2  # must have told the same direction, up to ...
 _SAME = np.cos(np.radians(40.0))  # and none another one
-_SCALE = np.repeat([0.2, 0.41], 3)  # of the sum of the three parts for (v, w), at ...
-_USUAL_EVIDENCE = 645.0  # px^-2
-_OF_EVIDENCE = -0.8  # exponent
-_OF_JUMP = 0.05  # variance of w in squares of its second difference over three windows
-_FIRST_JUMP, _LARGEST_JUMP = np.radians([10.0, 60.0])  # rad/s
-_WITH_GYRO = np.repeat([0.4, 1.0], 3)  # of the covariance of (v, w) where a gyro takes part
-_WIDE = 2.0  # how far a motion may exceed what the flow's size suggests
-_ROS_ORDER = np.r_[3:6, 0:3]  # (v, w) from (w, v)
 
 
-class MotionUncertainty:
-    """Covariance of the egomotion of one window after another.
+@dataclass(frozen=True)
+class PossibleMotions:
+    """The motions that may explain a flow, as a mean and a spread.
 
-    Args:
-        lattice: of the flow.
-        epipolar: its constraint.
+    Attributes:
+        mean: (6,) w in rad per window and v, less those of the present motion.
+        spread: (6, 6) their covariance.
     """
 
-    def __init__(self, lattice: Lattice, epipolar: NodeEpipolar) -> None:
-        self._epipolar = epipolar
-        x, y = (2 * lattice.pixels / lattice.pixels.max(axis=0) - 1).T
-        shapes = np.stack([np.ones_like(x), x, y, x * y, x * x - 1 / 3, y * y - 1 / 3], axis=-1)
-        # Errors of the flow: polynomials of second order, each component by itself.
-        self._modes = np.einsum("nm,ij->nimj", shapes, np.eye(2)).reshape(len(x), 2, -1)
-        self.forget()
+    mean: Array = field(default_factory=lambda: np.zeros(6))
+    spread: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
-    def forget(self) -> None:
-        """Take no other motion into account, before one is known."""
-        self._mean = np.zeros(6)
-        self._spread = np.zeros((6, 6))
-        self._before: list[Array] = []
-        self._directions: list[Array] = []
+    @classmethod
+    def weigh(
+        cls,
+        present: tuple[Array, Array],
+        travels: tuple[Array, Array, Array],
+        rotation: tuple[Array, float],
+    ) -> "PossibleMotions":
+        """Weigh motions by exp(-cost / 2).
 
-    def claims(self, v: Array) -> bool:
-        """Tell whether a direction of travel can be claimed. Call it once per window.
+        Before the flow is seen a camera that only turns is as likely as all travels together.
+
+        Args:
+            present: w (3,) in rad per window and unit v (3,) of the present motion.
+            travels: v and w (M, 3) of others, and their costs (M,) less that of the present motion.
+            rotation: w (3,) of a camera that only turns, and its cost, less the same.
+        """
+        v, w, excess = travels
+        signs = np.where(v @ present[1] < 0, -1.0, 1.0)[:, None]
+        turn = np.concatenate([rotation[0] - present[0], np.zeros(3)])
+        others = np.hstack([w - present[0], signs * v - present[1]])
+        apart = np.vstack([np.zeros(6), others, turn])
+        cost = np.concatenate([[0.0], excess, [rotation[1]]])
+        weight = np.exp(-0.5 * (cost - cost.min()))
+        weight[-1] *= len(v)
+        weight /= weight.sum()
+        mean = weight @ apart
+        return cls(mean, (weight[:, None] * apart).T @ apart - np.outer(mean, mean))
+
+    def covariance(
+        self,
+        second_look_px: float,
+        parallax_px: float,
+        px_per_rad: float,
+        known: Array | None = None,
+    ) -> Array:
+        """Covariance (6, 6) of (w, v), w in rad per window.
+
+        Args:
+            second_look_px: distance to the second fit of the flow, px per window.
+            parallax_px: size of the flow without the rotation's part, px per window: the shorter,
+                the more an error of the flow turns v.
+            px_per_rad: focal length.
+            known: (3, 3) information on w from elsewhere.
+        """
+        apart = float(np.clip(second_look_px, _LEAST_PX, _MOST_PX))
+        of_w = _OF_W * apart / px_per_rad
+        of_v = _OF_V * apart / max(parallax_px, _LEAST_PARALLAX_PX)
+        covariance = self.spread + np.diag(np.repeat([of_w**2, of_v**2], 3))
+        if known is None:
+            return covariance
+        information = np.linalg.inv(covariance)
+        information[:3, :3] += known
+        return np.linalg.inv(information)
+
+
+class Claims:
+    """Decides window by window whether a direction of travel can be claimed."""
+
+    def __init__(self) -> None:
+        self._told: list[Array] = []
+
+    def claim(self, v: Array, possible: PossibleMotions) -> bool:
+        """Tell whether a direction can be claimed. Call it once per window.
 
         The motions that are possible have to agree on it, and two of the last three windows must
         have told the same, and none another one: a direction that a few events suggest does not
@@ -70,177 +109,13 @@ class MotionUncertainty:
 
         Args:
             v: (3,) unit, with its sign.
+            possible: motions in this window.
         """
-        mean = self._mean[3:]
-        agree = float(np.trace(self._spread[3:, 3:]) + mean @ mean) < _CLAIMED**2
+        agree = float(np.trace(possible.spread[3:, 3:])) < _CLAIMED**2
         told = v if agree else np.zeros(3)
-        earlier = [told @ before for before in self._directions if before.any()]
-        self._directions = [*self._directions, told][-_LASTING:]
+        earlier = [told @ before for before in self._told if before.any()]
+        self._told = [*self._told, told][-_LASTING:]
         return agree and len(earlier) >= _CONFIRMING and bool(min(earlier) > _SAME)
-
-    @property
-    def mean_rotation(self) -> Array:
-        """Mean of the possible angular velocities (3,) less the present one, rad per window."""
-        return self._mean[:3]
-
-    def weigh_others(
-        self,
-        present: tuple[Array, Array],
-        travels: tuple[Array, Array, Array],
-        rotation: tuple[Array, float],
-    ) -> None:
-        """Note which other motions explain the flow.
-
-        Args:
-            present: (3,) w in rad per window and (3,) unit v of the estimate.
-            travels: w and v (M, 3) of others, and their costs (M,) less that of the present motion.
-            rotation: w (3,) of a camera that only turns, and its cost, less the same.
-        """
-        w, v, excess = travels
-        signs = np.where(v @ present[1] < 0, -1.0, 1.0)[:, None]
-        apart = np.hstack([w - present[0], signs * v - present[1]])
-        turns = np.hstack([rotation[0] - present[0], np.zeros(3)])
-        apart = np.vstack([apart, turns])
-        weight = np.exp(-np.maximum(np.append(excess, rotation[1]), 0.0) / _POSSIBLE)
-        weight[-1] *= _AS_ROTATION
-        total = 1 + weight.sum()  # the present motion's weight is 1
-        self._mean = weight @ apart / total
-        moment = (weight[:, None] * apart).T @ apart / total
-        self._spread = moment - np.outer(self._mean, self._mean)
-
-    def of_travel(
-        self,
-        belief: Belief,
-        flow: Array,
-        information: Array,
-        duration: float,
-        known: KnownRotation | None = None,
-    ) -> Array:
-        """Covariance (6, 6) of (v, w), v across its direction, in rad/s for w.
-
-        Args:
-            belief: mean and covariance by the normal equations.
-            flow: (nodes, 2) px per window.
-            information: (nodes, 2, 2) of the events on it.
-            duration: of the window, s.
-            known: what a gyro says.
-        """
-        v = belief.v
-        matrix, response = self._seen(Motion.constant(belief.w * duration, v), flow, information)
-        covariance = self._of_bias(_with(matrix, known), response, flow) + self._spread
-        scale = np.eye(6)
-        scale[:3, :3] /= duration
-        scale[3:, 3:] -= np.outer(v, v)
-        covariance = scale @ covariance @ scale.T
-        return belief.across() + covariance[np.ix_(_ROS_ORDER, _ROS_ORDER)]
-
-    def of_rotation(
-        self,
-        belief: Belief,
-        flow: Array,
-        information: Array,
-        duration: float,
-        known: KnownRotation | None = None,
-    ) -> Array:
-        """Covariance (6, 6) of a camera that only turns: that of w, and -1 first for no v.
-
-        Args:
-            belief, flow, information, duration, known: as in `of_travel`.
-        """
-        matrix, response = self._turning(information)
-        covariance = without_travel(belief.across())
-        covariance[3:, 3:] += self._of_bias(_with(matrix, known), response, flow) / duration**2
-        return covariance
-
-    def jump_of(self, w: Array) -> float:
-        """Measure how far w (3,) is from where the last two windows lead, rad/s.
-
-        Call it once per window.
-        """
-        jump = _FIRST_JUMP
-        if len(self._before) == 2:
-            jump = float(np.linalg.norm(w - 2 * self._before[1] + self._before[0]))
-        self._before = [*self._before[-1:], w]
-        return jump
-
-    def calibrated(self, covariance: Array, jump: float, evidence: Array) -> Array:
-        """Scale a covariance by the evidence, and count a jump of w since the last windows.
-
-        Args:
-            covariance: (6, 6) of (v, w), or of w alone with -1 first.
-            jump: see `jump_of`.
-            evidence: (nodes,) the events' information on the flow (trace), px^-2.
-        """
-        scale = np.sqrt(_SCALE * ((1 + evidence.sum()) / _USUAL_EVIDENCE) ** _OF_EVIDENCE)
-        result: Array = np.outer(scale, scale) * covariance
-        result[3:, 3:] += _OF_JUMP * min(jump, _LARGEST_JUMP) ** 2 * np.eye(3)
-        return without_travel(result) if covariance[0, 0] < 0 else result
-
-    def with_gyro(self, covariance: Array) -> Array:
-        """Scale the covariance (6, 6) of (v, w) of a window in which a gyro took part."""
-        scale = np.sqrt(_WITH_GYRO)
-        return np.asarray(np.outer(scale, scale) * covariance)
-
-    def of_events(self, flow: Array, information: Array, v: Array | None) -> tuple[Array, Array]:
-        """Angular velocity that the events of one window tell by themselves.
-
-        Args:
-            flow: (nodes, 2) px per window, without the epipolar constraint.
-            information: (nodes, 2, 2) of the events on it.
-            v: (3,) unit direction of travel to start from; None for a camera that only turns.
-
-        Returns:
-            w (3,) rad per window and its covariance (3, 3).
-        """
-        if v is None:
-            w, _ = self._epipolar.rotation(flow, information)
-            matrix, response = self._turning(information)
-        else:
-            w, v, _ = self._epipolar.refine(flow, information / INFORMATION_EXCESS, v)
-            matrix, response = self._seen(Motion.constant(w, v), flow, information)
-        regular = matrix + 1e-9 * np.trace(matrix) * np.eye(len(matrix))
-        covariance = np.linalg.inv(regular) + self._of_bias(matrix, response, flow)
-        return w, covariance[:3, :3]
-
-    def _seen(self, motion: Motion, flow: Array, information: Array) -> tuple[Array, Array]:
-        """Information (6, 6) of the events on a constant motion (w, v), and its response.
-
-        The response (6, modes) is to the modes of the flow's error.
-        """
-        residuals = self._epipolar.residuals(flow[:, None], motion)
-        normal, r = residuals.by_flow[:, 0], residuals.r[:, 0]
-        rows = residuals.constant_motion
-        weight = np.einsum("ni,nij,nj->n", normal, information, normal)
-        weight *= self._epipolar.robust_weight(r[:, None])[:, 0] / INFORMATION_EXCESS
-        matrix = np.einsum("n,ni,nj->ij", weight, rows, rows)
-        v = motion.at(0.5)[1]
-        matrix[3:, 3:] += np.trace(matrix[3:, 3:]) * np.outer(v, v)  # its length is unknown
-        return matrix, np.einsum("n,ni,nj,njm->im", weight, rows, normal, self._modes)
-
-    def _turning(self, information: Array) -> tuple[Array, Array]:
-        """As `_seen`, of a camera that only turns: (3, 3) and (3, modes)."""
-        b, usable = self._epipolar.b, self._epipolar.usable
-        weighted = np.einsum("nij,njk->nik", information, b) * usable[:, None, None]
-        weighted /= INFORMATION_EXCESS
-        matrix = np.einsum("nij,nik->jk", b, weighted)
-        return matrix, np.einsum("nij,nim->jm", weighted, self._modes)
-
-    def _of_bias(self, matrix: Array, response: Array, flow: Array) -> Array:
-        """Propagate the flow's smooth error: the motion's normal matrix and response to it."""
-        speed = float(np.sqrt(np.mean((flow**2).sum(axis=-1)))) / self._epipolar.px_per_rad
-        prior = np.ones(len(matrix))
-        prior[:3] = (_WIDE * speed + 1e-3) ** -2
-        gain = np.linalg.solve(matrix + np.diag(prior), response)
-        return np.asarray(_BIAS_PX**2 * gain @ gain.T)
-
-
-def _with(matrix: Array, known: KnownRotation | None) -> Array:
-    """Add what a gyro says about w to the information (M, M) of the events, w first."""
-    if known is None:
-        return matrix
-    sum_ = matrix.copy()
-    sum_[:3, :3] += known.information / INFORMATION_EXCESS
-    return sum_
 
 
 def without_travel(covariance: Array) -> Array:

@@ -1,8 +1,8 @@
 """Monte-Carlo check of the covariance: are errors as large as it says, on average?
 
 The normalised error squared (Bar-Shalom et al., 2001) of w, over 3, and of v across its direction,
-over 2, is 1 on average for a covariance that is right. Every fit starts at the true motion: what a
-wrong start does to it is another matter (test_lattice_estimator.py, docs/method.md).
+over 2, is 1 on average for a covariance that is right. This smooth surface has no edges of depth,
+whose errors the covariance counts: 0.5 to 0.7 here. The lower bound is that of the scoreboard.
 """
 
 from dataclasses import dataclass
@@ -11,29 +11,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.camera_motion import motion_matrices
-from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_fit import TO_MIDDLE, LatticeFit
-from emoflow_ros.core.preparation import WorkingImage, prepare
+from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.windows import NS_PER_MS, Window
 
 Array = NDArray[np.float64]
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7, "plumb_bob", (-0.34, 0.14, 0.0, 0.0))
-CONFIG = LatticeConfig()
-LATTICE = Lattice.with_spacing(CAMERA.width, CAMERA.height, CONFIG.spacing_px)
-EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, CONFIG.dec_inlier_px)
+CONFIG = LatticeConfig(model="full", min_contrast_gain=1.0)
 DURATION_NS = 90 * NS_PER_MS
 DURATION = 0.09
 SPEED = 0.8  # m/s, at a depth of about 3 m
 RATE = np.radians(10.0)
 POINTS, EVENTS_PER_POINT = 1500, 8
-MOTIONS = 60
+MOTIONS = 40
 
 
 @dataclass(frozen=True)
@@ -84,33 +78,20 @@ class Scene:
         )
         return Window(0, DURATION_NS, events)
 
-    def fit(self, window: Window) -> Belief:
-        """Fit flow and motion from the true ones on; what is known in the window's middle."""
-        fit = LatticeFit(LATTICE, EPIPOLAR, CONFIG)
-        fit.motion = Motion.constant(DURATION * self.w, self.v)
-        a, b = motion_matrices(EPIPOLAR.bearings)
-        flow = SPEED * (a @ self.v) / self.depth(EPIPOLAR.bearings)[:, None] + b @ self.w
-        flow = DURATION * np.linalg.solve(EPIPOLAR.to_bearing, flow[..., None])[..., 0]
-        fit.flow = np.repeat(flow[:, None], LATTICE.times, 1).reshape(LATTICE.shape)
-        fit.flow = fit.flow.astype(np.float32)
-        events = prepare(window, WorkingImage.of(CAMERA), CONFIG)
-        for _ in range(5):
-            fit.linearise(events, 1.0)
-            fit.step_coupled(None)
-        w, v = fit.motion.at(0.5)
-        unit = np.repeat([DURATION, 1.0], 3)
-        middle = np.linalg.inv(TO_MIDDLE @ np.linalg.inv(fit.information) @ TO_MIDDLE.T)
-        return Belief.from_information(0, w / DURATION, v, middle * np.outer(unit, unit))
 
-
-def normalised_errors(scene: Scene, belief: Belief) -> tuple[float, float]:
-    covariance = belief.across()
-    error_w = belief.w - scene.w
-    across = np.linalg.svd(belief.v[None])[2][1:]
+def normalised_errors(
+    scene: Scene, noise_px: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Of w, over 3, and of v across its direction, over 2, in one window without a past."""
+    estimate = LatticeEstimator(CAMERA, CONFIG).estimate(scene.events(rng, noise_px))
+    assert estimate.status is Status.OK
+    error_w = estimate.angular - scene.w
+    v = estimate.linear * np.sign(estimate.linear @ scene.v)
+    across = np.linalg.svd(v[None])[2][1:]
     towards = across @ scene.v
-    angle = np.arccos(np.clip(belief.v @ scene.v, -1, 1))
+    angle = np.arccos(np.clip(v @ scene.v, -1, 1))
     error_v = angle * towards / np.linalg.norm(towards)
-    of_w, of_v = covariance[3:, 3:], across @ covariance[:3, :3] @ across.T
+    of_w, of_v = estimate.covariance[3:, 3:], across @ estimate.covariance[:3, :3] @ across.T
     return (
         float(error_w @ np.linalg.solve(of_w, error_w)) / 3,
         float(error_v @ np.linalg.solve(of_v, error_v)) / 2,
@@ -118,14 +99,9 @@ def normalised_errors(scene: Scene, belief: Belief) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("noise_px", [0.3, 0.6])
-def test_errors_of_random_motions_stay_within_what_the_covariance_says(noise_px):
-    """The normal equations are careful: means of 0.44 to 0.55 of w and 0.30 to 0.39 of v."""
+def test_errors_of_random_motions_are_as_large_as_the_covariance_says(noise_px):
     rng = np.random.default_rng(2)
-    errors = []
-    for _ in range(MOTIONS):
-        scene = Scene.random(rng)
-        belief = scene.fit(scene.events(rng, noise_px))
-        errors.append(normalised_errors(scene, belief))
+    errors = [normalised_errors(Scene.random(rng), noise_px, rng) for _ in range(MOTIONS)]
     of_w, of_v = np.mean(errors, axis=0)
-    assert 0.3 < of_w < 1
-    assert 0.2 < of_v < 1
+    assert 0.3 < of_w < 2
+    assert 0.3 < of_v < 2
