@@ -30,9 +30,8 @@ from emoflow_ros.core.products import (
 )
 from emoflow_ros.core.twist import at_middle, sample
 from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.tasks import Arrays, Channel, Picture, Wishes, pack
-from emoflow_ros.tracebacks import keep_traceback
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
