@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from emoflow_ros.cli import run
 from emoflow_ros.commands.replay_messages import Pace, Ros1Converter
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.node.topic_search import import_message_type

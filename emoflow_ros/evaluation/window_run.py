@@ -10,9 +10,8 @@ from tqdm import tqdm
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.evaluation.benchmark_sequences import Published
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter

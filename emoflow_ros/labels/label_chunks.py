@@ -20,8 +20,8 @@ from uuid import uuid4
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros.core.config import Config
+from emoflow_ros.core.events import NS_PER_S, Window, WindowPolicy
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.slicers import Interval, IntervalSlicer

@@ -16,7 +16,7 @@ import numpy as np
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.events import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import COLUMNS, TEXT, Column
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, lacking

@@ -15,12 +15,11 @@ from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import TO_MIDDLE, LatticeFit
 from emoflow_ros.core.preparation import WorkingImage, prepare
-from emoflow_ros.core.windows import NS_PER_MS, Window
 
 Array = NDArray[np.float64]
 
