@@ -28,11 +28,11 @@ setup(
     entry_points={
         "console_scripts": [
             f"estimator = {PACKAGE}.node.executable:main",
-            f"replay = {PACKAGE}.executables:replay",
-            f"evaluate = {PACKAGE}.executables:evaluate",
-            f"simulate = {PACKAGE}.executables:simulate",
-            f"info = {PACKAGE}.executables:info",
-            f"label = {PACKAGE}.executables:label",
+            f"replay = {PACKAGE}.cli:replay",
+            f"evaluate = {PACKAGE}.cli:evaluate",
+            f"simulate = {PACKAGE}.cli:simulate",
+            f"info = {PACKAGE}.cli:info",
+            f"label = {PACKAGE}.cli:label",
         ],
     },
 )

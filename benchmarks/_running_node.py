@@ -20,8 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import try_shutdown
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.topic_search import import_message_type
 from emoflow_ros.simulation.messages import CAMERA_INFO, EVENT_ARRAY, MessageEncoder

@@ -35,7 +35,7 @@ from benchmarks._running_node import (
 from benchmarks._scoring import MIN_WINDOWS, SCENES, verdict
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.simulation.messages import MessageEncoder

@@ -34,8 +34,8 @@ from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess

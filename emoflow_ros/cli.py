@@ -1,4 +1,4 @@
-"""What every executable shares: one clear line for bad input, honest exit codes."""
+"""The installed commands, and what all of them share: one line for bad input, exit codes."""
 
 import os
 import select
@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from types import FrameType
 from typing import TextIO
 
@@ -84,3 +85,19 @@ def _has_lost_its_reader(stream: TextIO | None) -> bool:
     poll = select.poll()
     poll.register(descriptor, 0)
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def _command(module: str) -> Callable[[], int]:
+    """Make a command that imports its module late, so that Ctrl-C before is one line, too."""
+
+    def main() -> int:
+        return run(lambda: import_module(f"emoflow_ros.{module}").main())
+
+    return main
+
+
+replay = _command("commands.replay")
+evaluate = _command("evaluation.evaluate_command")
+simulate = _command("simulation.simulate")
+info = _command("commands.info")
+label = _command("labels.label_command")

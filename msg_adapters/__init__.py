@@ -4,9 +4,8 @@ Imports neither rclpy nor torch. `formats/` holds one file per message type, `en
 file per encoding of event_camera_msgs/EventPacket; a new one is one new file there.
 """
 
-from msg_adapters.message import Decoder, EventMessage, Statistics
+from msg_adapters.message import DecodeError, Decoder, EventMessage, Statistics
 from msg_adapters.registry import make_decoder, make_packet_decoder, supported_types
-from msg_adapters.wire import DecodeError
 
 __all__ = [
     "DecodeError",

@@ -11,9 +11,8 @@ from types import ModuleType
 
 import msg_adapters.encodings
 import msg_adapters.formats
-from msg_adapters.message import Decoder, Statistics
+from msg_adapters.message import DecodeError, Decoder, Serialization, Statistics
 from msg_adapters.packet_decoder import PacketDecoder
-from msg_adapters.wire import DecodeError, Serialization
 
 type Factory = Callable[[Serialization], Decoder]
 

@@ -12,8 +12,7 @@ from benchmarks import growth, realtime
 from benchmarks._scoring import Score, normalised_errors, summarise, verdict
 from benchmarks.paper import Timing, compare_with_target
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.evaluation.metrics import FlowErrors
 from emoflow_ros.evaluation.window_results import WindowResult
 from emoflow_ros.truth import TrueTwist

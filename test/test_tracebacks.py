@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from emoflow_ros.errors import keep_traceback
 from emoflow_ros.evaluation.window_run import attempt
-from emoflow_ros.tracebacks import keep_traceback
 
 
 def fail() -> ValueError:

@@ -53,7 +53,7 @@ def test_torch_is_hidden(environment: dict[str, str]) -> None:
 def test_what_needs_torch_says_so_in_one_line(
     environment: dict[str, str], tmp_path: Path, arguments: tuple[str, ...], line: str
 ) -> None:
-    command = "import sys; from emoflow_ros.executables import {0}; sys.exit({0}())"
+    command = "import sys; from emoflow_ros.cli import {0}; sys.exit({0}())"
     made = run(
         environment, "-c", command.format("simulate"), "calm", "--duration", "0.3",
         "--format", "rosbag1", "--out", str(tmp_path / "calm"),

@@ -14,8 +14,7 @@ from benchmarks._scoring import SimulatedTruth
 from benchmarks.scoreboard.gyros import gyro_of_simulation
 from benchmarks.scoreboard.subjects import Material, Subject
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.simulation.random_recording import (
     Factors,
     draw_factors,

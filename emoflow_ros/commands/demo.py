@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from emoflow_ros.cli import run
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_file import Estimates, read_estimates
 from emoflow_ros.evaluation.metrics import angle_deg

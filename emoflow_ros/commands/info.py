@@ -23,8 +23,7 @@ from emoflow_ros.commands.info_contents import (
     topic_imu,
     topic_truth,
 )
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording
 from emoflow_ros.readers.bag import BagRecording

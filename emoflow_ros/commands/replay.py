@@ -4,7 +4,7 @@ import argparse
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import rclpy
@@ -21,12 +21,11 @@ from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
-from emoflow_ros.commands.replay_messages import Pace, Ros1Converter
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.node.topic_search import import_message_type
-from emoflow_ros.readers.bag_files import open_bag, read_messages
+from emoflow_ros.readers.bag_files import Ros1Converter, open_bag, read_messages
 from msg_adapters import supported_types
 
 _EPILOG = """\
@@ -40,8 +39,49 @@ _WAIT_S = 10.0
 _SETTLE_S = 0.3
 _FLUSH_S = 2
 _LATE_S = 0.05
+_STOPPED_S = 0.5  # no single message takes that long
 _CLOCK_PERIOD = 10 * NS_PER_MS
 _BAR = "{desc}{percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}]"
+
+
+class Pace:
+    """Waits for the time of one message after another.
+
+    A stop of the process between two messages (Ctrl-Z, SIGSTOP) delays all that follow: they
+    are not sent in a burst, which no subscriber could take.
+
+    Args:
+        rate: 2 is twice as fast as it was recorded.
+        clock, sleep: monotonic time in s, and a wait of so many s.
+
+    Attributes:
+        lag_s: the longest delay of a message, stops left out.
+    """
+
+    def __init__(
+        self,
+        rate: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.lag_s = 0.0
+        self._rate = rate
+        self._clock = clock
+        self._sleep = sleep
+        self._started = clock()
+        self._late = 0.0
+
+    def wait(self, recorded_s: float) -> None:
+        """Wait until the message of so many seconds into the recording is due."""
+        due = self._started + recorded_s / self._rate
+        if (ahead := due - self._clock()) > 0:
+            self._sleep(ahead)
+        late = max(0.0, self._clock() - due)
+        if late - self._late > _STOPPED_S:
+            self._started += late - self._late
+            late = self._late
+        self._late = late
+        self.lag_s = max(self.lag_s, late)
 
 
 class Player:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera_motion import CONTROL_POINTS
 from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.windows import NS_PER_S
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 
 # Event times closer than this to the stamps are ROS time, or were.
 SAME_CLOCK_NS = NS_PER_S

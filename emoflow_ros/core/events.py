@@ -1,10 +1,21 @@
-"""Event arrays: the one representation that every part of the package passes on."""
+"""Events as arrays, and the causal time windows that a stream of them is cut into.
 
+Every part of the package passes events on in this one representation.
+"""
+
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.options import option
+from emoflow_ros.errors import InputError
+
+NS_PER_S = 1_000_000_000
+NS_PER_MS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,3 +68,216 @@ class Events:
     def inside(self, width: int, height: int) -> NDArray[np.bool_]:
         """Mask (N,) of the events that lie on a sensor of width x height pixels."""
         return (self.x < width) & (self.y < height)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Events of the interval [t_start, t_end), in nanoseconds.
+
+    In a window by count, events that share the time of the first one left out may lie at t_end.
+    `gyro` holds the readings of the interval, and the next one on either side; None where there
+    is no gyro.
+    """
+
+    t_start: int
+    t_end: int
+    events: Events
+    gyro: GyroReadings | None = None
+
+    @property
+    def duration(self) -> float:
+        """Length in seconds."""
+        return (self.t_end - self.t_start) / NS_PER_S
+
+    def since(self, t: int) -> "Window":
+        """Return the part from time t (ns) on, the window itself if it starts no earlier."""
+        if t <= self.t_start:
+            return self
+        events = self.events[int(np.searchsorted(self.events.t, t)) :]
+        return replace(self, t_start=t, events=events)
+
+    def with_gyro(self, readings: GyroReadings) -> "Window":
+        """Return the window with those of a gyro's readings that cover it."""
+        return replace(self, gyro=readings.covering(self.t_start, self.t_end))
+
+
+@dataclass(frozen=True)
+class WindowPolicy:
+    """How a stream is cut into windows: by time, or with count > 0 by events.
+
+    With max_displacement_px > 0 they are the longest that may be; motion_windows.py shortens them.
+
+    Raises:
+        InputError: a count_stride above count, which would leave gaps.
+    """
+
+    duration_ms: float = option(
+        90.0, "length of a window by time", unit="ms", minimum=1.0, maximum=10_000.0
+    )
+    stride_ms: float = option(
+        0.0,
+        "from one window's start to the next one's: less than the duration overlaps them; "
+        "0, or more than the duration, means the duration",
+        unit="ms",
+        minimum=0.0,
+        maximum=10_000.0,
+    )
+    count: int = option(
+        0, "with count > 0 windows hold this many events, whatever their duration", minimum=0
+    )
+    count_stride: int = option(
+        0, "events from one window's start to the next one's; 0 means count", minimum=0
+    )
+    max_displacement_px: float = option(
+        0.0,
+        "estimate of each window only the latest part in which 90 % of the pixels move no further "
+        "than this; 0 takes windows whole",
+        unit="px",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    min_count: int = option(
+        10_000, "events that such a part holds at least, if the window does", minimum=100
+    )
+
+    @property
+    def duration_ns(self) -> int:
+        """Length of a window by time."""
+        return round(self.duration_ms * NS_PER_MS)
+
+    @property
+    def stride_ns(self) -> int:
+        """From one window's start to the next one's, by time."""
+        return min(round(self.stride_ms * NS_PER_MS) or self.duration_ns, self.duration_ns)
+
+    def __post_init__(self) -> None:
+        if self.count_stride > self.count:
+            raise InputError(
+                "window.count_stride",
+                f"{self.count_stride} with windows of {self.count} events leaves gaps",
+                "give a stride of at most window.count",
+            )
+
+
+class TimeJumpError(Exception):
+    """Event time went backwards: the caller decides whether to reset or to refuse."""
+
+    def __init__(self, last: int, now: int) -> None:
+        super().__init__(f"event time went back by {(last - now) / NS_PER_S:.6f} s")
+        self.last = last
+        self.now = now
+
+
+class WindowSlicer:
+    """Cut a stream of events into windows as soon as each is complete.
+
+    A window by time is complete when an event at or after its end has been seen, so no
+    window ever holds or waits for more of the future than that one event. Windows without
+    any event are skipped.
+    """
+
+    def __init__(self, policy: WindowPolicy) -> None:
+        self.policy = policy
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, for example after a jump in time."""
+        self._parts: deque[Events] = deque()
+        self._last: int | None = None
+        self._start: int | None = None
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events of the stream and return the windows they complete.
+
+        Raises:
+            TimeJumpError: times are not in order, within `events` or against what came
+                before. Nothing of `events` is kept then.
+        """
+        if len(events) == 0:
+            return []
+        backwards = np.flatnonzero(events.t[1:] < events.t[:-1])
+        if len(backwards):
+            i = int(backwards[0])
+            raise TimeJumpError(int(events.t[i]), int(events.t[i + 1]))
+        if self._last is not None and events.t[0] < self._last:
+            raise TimeJumpError(self._last, int(events.t[0]))
+        self._last = int(events.t[-1])
+        if self._start is None:
+            self._start = int(events.t[0])
+        self._parts.append(events)
+        return self._by_count() if self.policy.count else self._by_time()
+
+    def _by_time(self) -> list[Window]:
+        assert self._start is not None and self._last is not None
+        duration, stride = self.policy.duration_ns, self.policy.stride_ns
+        if self._last < self._start + duration:
+            return []
+        pending = Events.concatenate(self._parts)
+        windows = []
+        while self._last >= self._start + duration:
+            end = self._start + duration
+            first, last = np.searchsorted(pending.t, [self._start, end])
+            if last > first:
+                windows.append(Window(self._start, end, pending[first:last]))
+                self._start += stride
+            else:  # jump over silence in whole strides
+                self._start += stride * max(1, (int(pending.t[last]) - end) // stride)
+        self._parts = deque([pending[int(np.searchsorted(pending.t, self._start)) :]])
+        return windows
+
+    def _by_count(self) -> list[Window]:
+        count = self.policy.count
+        stride = self.policy.count_stride or count
+        if sum(map(len, self._parts)) < count + 1:
+            return []
+        pending = Events.concatenate(self._parts)
+        windows = []
+        first = 0
+        # One event more than `count`, so that the window's end is known.
+        while len(pending) - first > count:
+            end = max(int(pending.t[first + count]), int(pending.t[first]) + 1)
+            windows.append(Window(int(pending.t[first]), end, pending[first : first + count]))
+            first += stride
+        self._parts = deque([pending[first:]])
+        return windows
+
+
+class DistinctEvents:
+    """A running count of the events in windows of one stream, in the order of the stream.
+
+    Every window holds all events of the stream from its first to its last one. Windows may overlap
+    and may leave gaps; each begins and ends no earlier than the one before it.
+
+    Attributes:
+        count: events in the windows so far, each once.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.start_anew()
+
+    def start_anew(self) -> None:
+        """Take the next window for one of another stream; the count goes on."""
+        self._end: int | None = None  # of the last window, ns
+        self._last = 0  # time of the latest event that is counted, ns
+        self._ties = 0  # counted events of that time
+
+    def add(self, window: Window) -> None:
+        """Count the events of the next window that no window before it held."""
+        t = window.events.t
+        if len(t) == 0:
+            return
+        known = 0
+        if self._end is not None and window.t_start < self._end:
+            before, through = (int(i) for i in np.searchsorted(t, [self._last, self._last + 1]))
+            # Of the events at that time a window by count may have left out the rest.
+            known = min(before + self._ties, through)
+        else:
+            self._ties = 0
+        last = int(t[-1])
+        if known < len(t):
+            ties = len(t) - max(known, int(np.searchsorted(t, last)))
+            self._ties = ties + (self._ties if last == self._last else 0)
+            self._last = last
+        self.count += len(t) - known
+        self._end = window.t_end

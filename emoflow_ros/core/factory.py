@@ -3,10 +3,8 @@
 from functools import partial
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
-from emoflow_ros.core.device import require_cuda, require_torch
+from emoflow_ros.core.config import Config, GyroConfig, require_cuda, require_torch
 from emoflow_ros.core.estimate import Estimator
-from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.gyro_checks import (
     FreezeWatch,
     GyroFault,
@@ -13,7 +14,6 @@ from emoflow_ros.core.gyro_checks import (
     MistakeGuess,
     find_fault,
 )
-from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, Shape, fit_shape
 
 Array = NDArray[np.float64]

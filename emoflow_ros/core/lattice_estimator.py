@@ -9,6 +9,7 @@ from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.belief import KnownRotation, Structure
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.contrast import (
     Contrast,
     ContrastFactory,
@@ -17,8 +18,8 @@ from emoflow_ros.core.contrast import (
 )
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
-from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
@@ -29,7 +30,6 @@ from emoflow_ros.core.reading import EstimateReader
 from emoflow_ros.core.second_look import SecondLook, best_start, distance, fresh_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import PossibleMotions
-from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import ImageContrast, WindowEvents
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
+from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.preparation import reduction
-from emoflow_ros.core.windows import Window, WindowPolicy
 
 F32 = NDArray[np.float32]
 

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import WindowEvents
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.windows import Window
 
 _LONGER_SIDE_PX = 346  # that options in pixels are meant for; smaller sensors keep their pixels
 

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S, Window
+from emoflow_ros.core.events import NS_PER_S, Events, Window
 
 # A window's tracks are sampled at its start, its end and 7 times in between.
 INSTANTS = 9

@@ -9,6 +9,7 @@ from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera_motion import SplineMotion, basis
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro_checks import GyroStatus
 from emoflow_ros.core.lattice import LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -17,7 +18,6 @@ from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.second_look import probability_of_failure
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import Claims, PossibleMotions, without_travel
-from emoflow_ros.core.windows import Window
 
 Array = NDArray[np.float64]
 

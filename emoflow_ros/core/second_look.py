@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.contrast import ImageContrast, WindowEvents, best_constant_flow
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.windows import Window
 
 F32 = NDArray[np.float32]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import emoflow_ros
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import (
     ADDED,

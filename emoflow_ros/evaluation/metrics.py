@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.core.products import Points, Tracker, Tracks, interpolate
-from emoflow_ros.core.windows import NS_PER_S
 from emoflow_ros.truth import FlowSource, Truth
 
 Vectors = NDArray[np.float64]

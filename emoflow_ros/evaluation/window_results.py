@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.events import Window
 from emoflow_ros.evaluation.metrics import (
     FlowErrors,
     Mask,

@@ -10,17 +10,15 @@ from tqdm import tqdm
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.evaluation.benchmark_sequences import Published
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.run_progress import Checkpoint, Gallery, Progress
 from emoflow_ros.evaluation.slicers import EndingSlicer, Slicer, compared_part
 from emoflow_ros.evaluation.window_results import WindowResult, assess
 from emoflow_ros.readers import Recording, require_camera
-from emoflow_ros.tracebacks import keep_traceback
 from emoflow_ros.truth import Truth
 from emoflow_ros.truth.dsec_flow import Submission
 

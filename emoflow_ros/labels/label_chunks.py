@@ -1,37 +1,182 @@
-"""Chunks of a recording, labelled one by one: how they are cut, the work on one, who does it.
+"""One chunk of a recording: its windows are labelled, and the file that the labels are written to.
 
 The windows of all chunks lie on one grid, counted from the recording's first event: together they
 are the windows of a run without chunks. Before its own windows a chunk estimates those of its
-margin, for the warm start only. This process does the work, or the workers of a Ray cluster do it.
+margin, for the warm start only. The files of all chunks are joined to the recording's label file,
+an estimates file with dense flow; docs/labels.md is its description.
 """
 
-import math
+import dataclasses
+import hashlib
+import json
 import os
+import shutil
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from itertools import islice
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 from uuid import uuid4
 
+import h5py
+import numpy as np
 from threadpoolctl import threadpool_limits
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
+from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import NS_PER_S, Window, WindowPolicy
 from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation.estimates_columns import COLUMNS, TEXT, Column
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, lacking
+from emoflow_ros.evaluation.metrics import event_mask
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.slicers import Interval, IntervalSlicer
 from emoflow_ros.evaluation.window_run import attempt
-from emoflow_ros.labels.label_file import Header, LabelWriter
 from emoflow_ros.readers import Recording
 
-LOCAL = "local"
-_RETRIES = 3  # of a job whose worker died
-_OBJECT_STORE = 80 << 20  # bytes, the least that Ray takes: jobs read and write files
+_HEAD = 1 << 20  # bytes
+_MORE = {
+    "note": Column((), TEXT, "", "the exception, where the estimator raised one"),
+    "chunk": Column((), "i8", "", "number of the chunk of time that the window was labelled in"),
+}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is the same for all windows of a recording, and decides its labels.
+
+    Attributes:
+        source: the recording as it was named.
+        camera: its camera.
+        configuration: option values by dotted name.
+        provenance: see docs/labels.md.
+    """
+
+    source: str
+    camera: Camera
+    configuration: dict[str, Any]
+    provenance: dict[str, Any]
+
+    def check(self, path: Path) -> None:
+        """See that an existing file was written for the same labels.
+
+        Raises:
+            InputError: it is of another run, of an earlier version, or damaged.
+        """
+        fix = "leave --resume out to start again"
+        mine = {
+            "camera": dataclasses.asdict(self.camera),
+            "configuration": self.configuration,
+            **self.provenance,
+        }
+        try:
+            with h5py.File(path) as file:
+                its = {name: json.loads(file.attrs[name]) for name in ("camera", "configuration")}
+                its |= json.loads(file.attrs["provenance"])
+                wrong = lacking(file, COLUMNS | _MORE)
+        except (OSError, KeyError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(path, f"cannot be read ({reason})", fix) from None
+        if wrong:
+            raise InputError(path, wrong, fix)
+        plain = json.loads(json.dumps(mine))
+        differ = [name for name in plain if its.get(name) != plain[name]]
+        if differ:
+            raise InputError(path, f"of a run with another {' and '.join(differ)}", fix)
+
+
+class LabelWriter:
+    """Write labels window by window. Use as a context manager.
+
+    Args:
+        path: the file; it is replaced.
+        header: what to write once.
+        chunk: the number that all windows get in the column `chunk`.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, header: Header, chunk: int) -> None:
+        self._camera = header.camera
+        self._chunk = chunk
+        size = header.camera.height, header.camera.width
+        valid = Column(size, "?", "", "pixels with an event of the window and an estimate", chunk=1)
+        self._writer = EstimatesWriter(
+            path,
+            camera=header.camera,
+            source=header.source,
+            configuration=header.configuration,
+            save_flow=True,
+            more={"valid": valid, **_MORE},
+            attributes={"provenance": json.dumps(header.provenance)},
+        )
+
+    def append(self, window: Window, estimate: Estimate, note: str) -> None:
+        """Add one window; `note` is the exception, if the estimator raised one."""
+        ok = estimate.status is Status.OK
+        events = window.since(estimate.t_start).events  # an estimate may be of its latest part
+        seen = event_mask(events, self._camera.width, self._camera.height)
+        more = {
+            "valid": seen if ok else np.zeros_like(seen),
+            "note": note,
+            "chunk": self._chunk,
+        }
+        self._writer.append(estimate, len(events), more=more)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+
+def fingerprint(path: Path) -> dict[str, Any]:
+    """Identify a recording without reading all of it.
+
+    Returns:
+        Its name, its size in bytes, and the SHA-256 of names, sizes and first MiB of its files.
+    """
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(path.parent)} {file.stat().st_size}\n".encode())
+        with file.open("rb") as stream:
+            digest.update(stream.read(_HEAD))
+    size = sum(file.stat().st_size for file in files)
+    return {"name": path.name, "bytes": size, "sha256_head": digest.hexdigest()}
+
+
+def merge(parts: Sequence[Path], target: Path) -> None:
+    """Join the rows of label files in the order given; the target appears in one step."""
+    partial = target.with_name(f"{target.name}.partial")
+    shutil.copyfile(parts[0], partial)
+    with h5py.File(partial, "r+") as whole:
+        for part in parts[1:]:
+            with h5py.File(part) as file:
+                for name, dataset in whole.items():
+                    _append(dataset, file[name])
+    os.replace(partial, target)
+
+
+def _append(dataset: h5py.Dataset, rows: h5py.Dataset) -> None:
+    start = len(dataset)
+    dataset.resize(start + len(rows), axis=0)
+    if dataset.chunks[0] > 1:
+        dataset[start:] = rows[:]
+        return
+    corner = (0,) * (dataset.ndim - 1)
+    for row in range(len(rows)):  # dense rows are copied as they are, compressed
+        filters, data = rows.id.read_direct_chunk((row, *corner))
+        dataset.id.write_direct_chunk((start + row, *corner), data, filters)
 
 
 @dataclass(frozen=True)
@@ -76,49 +221,6 @@ class Job:
     target: Path
 
 
-def plan_chunks(
-    span: tuple[int, int], policy: WindowPolicy, chunk_s: float, margin_s: float
-) -> list[Chunk]:
-    """Divide the whole windows of a recording.
-
-    Args:
-        span: times of the first and the last event, ns.
-        policy: windows by time.
-        chunk_s: about how long a chunk is, s; it holds at least one window.
-        margin_s: how much is estimated before a chunk, s; where the recording goes so far back.
-
-    Returns:
-        The chunks in order; none where the recording is shorter than a window.
-    """
-    first, last = span
-    duration, stride = policy.duration_ns, policy.stride_ns
-    total = max(0, (last - first - duration) // stride + 1)
-    size = max(1, round(chunk_s * NS_PER_S / stride))
-    margin = math.ceil(margin_s * NS_PER_S / stride)
-    return [
-        Chunk(k // size, first + k * stride, min(size, total - k), min(margin, k))
-        for k in range(0, total, size)
-    ]
-
-
-def event_span(recording: Recording) -> tuple[int, int]:
-    """Find the times of a recording's first and last event, ns.
-
-    Raises:
-        InputError: damaged data, or no events.
-    """
-    first = next(int(events.t[0]) for events in recording.event_chunks() if len(events))
-    back_s = 1.0  # a bag's duration is that of its log times
-    while True:
-        since = first
-        if recording.duration is not None:
-            since += max(0, round((recording.duration - back_s) * NS_PER_S))
-        last = max((int(e.t[-1]) for e in recording.event_chunks(since) if len(e)), default=None)
-        if last is not None:
-            return first, last
-        back_s *= 10
-
-
 def label_chunk(job: Job) -> str:
     """Estimate a chunk's windows and write them; the file appears in one step when it is whole.
 
@@ -160,73 +262,3 @@ def _windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window
         yield from slicer.push(events)
         if len(events) and events.t[-1] >= intervals[-1][1]:
             return
-
-
-# Does the jobs and yields each with what `label_chunk` returned, in the order of completion.
-JobRunner = Callable[[Iterable[Job]], Iterator[tuple[Job, str]]]
-
-
-def run_here(jobs: Iterable[Job]) -> Iterator[tuple[Job, str]]:
-    """Do one job after the other in this process."""
-    return ((job, label_chunk(job)) for job in jobs)
-
-
-@contextmanager
-def ray_workers(address: str, count: int | None) -> Generator[JobRunner]:
-    """Connect to a Ray cluster.
-
-    A job whose worker dies is done again by another one, up to 3 times.
-
-    Args:
-        address: of a running cluster, or `local` to start one on this machine for this run.
-        count: jobs at once; None for as many as there are cores.
-
-    Raises:
-        InputError: Ray is not installed, or there is no cluster at the address.
-    """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
-        ray = import_module("ray")
-    except ImportError:
-        raise InputError("--ray", "Ray is not installed", "run 'pip install ray'") from None
-    start: dict[str, Any] = {}
-    if address == LOCAL:
-        start = {
-            "num_cpus": count,
-            "include_dashboard": False,
-            "object_store_memory": _OBJECT_STORE,
-        }
-    try:
-        ray.init(address, logging_level="ERROR", **start)
-    except (ConnectionError, ValueError) as error:
-        reason = str(error).partition("\n")[0]
-        raise InputError(
-            f"--ray {address}", f"no cluster ({reason})", "give host:port of one, or local"
-        ) from None
-    try:
-        yield _RayRun(ray, count or int(ray.cluster_resources()["CPU"]))
-    finally:
-        ray.shutdown()
-
-
-class _RayRun:
-    """Keeps as many jobs in flight as wanted."""
-
-    def __init__(self, ray: Any, count: int) -> None:
-        self._ray = ray
-        self._count = count
-        self._label = ray.remote(max_retries=_RETRIES)(label_chunk)
-
-    def __call__(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, str]]:
-        waiting = iter(jobs)
-        flying = {self._label.remote(job): job for job in islice(waiting, self._count)}
-        while flying:
-            (done,), _ = self._ray.wait(list(flying))
-            yield flying.pop(done), self._result(done)
-            flying |= {self._label.remote(job): job for job in islice(waiting, 1)}
-
-    def _result(self, done: Any) -> str:
-        try:
-            return str(self._ray.get(done))
-        except self._ray.exceptions.RayError as error:
-            return f"the worker was lost ({' '.join(str(error).split())})"

@@ -1,8 +1,9 @@
-"""Labels of many recordings: what is to be done, and the joining of what was done."""
+"""Labels of many recordings: the chunks that are to be labelled, and the joining of those done."""
 
+import math
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,12 +12,15 @@ from tqdm import tqdm
 
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.events import NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import versions
 from emoflow_ros.evaluation.recording_options import Source, make_folder
-from emoflow_ros.labels.label_chunks import Job, JobRunner, event_span, plan_chunks
-from emoflow_ros.labels.label_file import Header, fingerprint, merge
+from emoflow_ros.labels.label_chunks import Chunk, Header, Job, fingerprint, merge
 from emoflow_ros.readers import Recording, require_camera
+
+# Does the jobs and yields each with what `label_chunk` returned, in the order of completion.
+JobRunner = Callable[[Iterable[Job]], Iterator[tuple[Job, str]]]
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,49 @@ def _plan(source: Source, settings: Settings) -> RecordingPlan:
         plan.jobs.clear()
         _fail(plan, str(error))
     return plan
+
+
+def plan_chunks(
+    span: tuple[int, int], policy: WindowPolicy, chunk_s: float, margin_s: float
+) -> list[Chunk]:
+    """Divide the whole windows of a recording.
+
+    Args:
+        span: times of the first and the last event, ns.
+        policy: windows by time.
+        chunk_s: about how long a chunk is, s; it holds at least one window.
+        margin_s: how much is estimated before a chunk, s; where the recording goes so far back.
+
+    Returns:
+        The chunks in order; none where the recording is shorter than a window.
+    """
+    first, last = span
+    duration, stride = policy.duration_ns, policy.stride_ns
+    total = max(0, (last - first - duration) // stride + 1)
+    size = max(1, round(chunk_s * NS_PER_S / stride))
+    margin = math.ceil(margin_s * NS_PER_S / stride)
+    return [
+        Chunk(k // size, first + k * stride, min(size, total - k), min(margin, k))
+        for k in range(0, total, size)
+    ]
+
+
+def event_span(recording: Recording) -> tuple[int, int]:
+    """Find the times of a recording's first and last event, ns.
+
+    Raises:
+        InputError: damaged data, or no events.
+    """
+    first = next(int(events.t[0]) for events in recording.event_chunks() if len(events))
+    back_s = 1.0  # a bag's duration is that of its log times
+    while True:
+        since = first
+        if recording.duration is not None:
+            since += max(0, round((recording.duration - back_s) * NS_PER_S))
+        last = max((int(e.t[-1]) for e in recording.event_chunks(since) if len(e)), default=None)
+        if last is not None:
+            return first, last
+        back_s *= 10
 
 
 def _header(source: Source, recording: Recording, settings: Settings) -> Header:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.windows import DistinctEvents
+from emoflow_ros.core.events import DistinctEvents
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import (
+from emoflow_ros.core.events import (
     NS_PER_MS,
     NS_PER_S,
+    Events,
     TimeJumpError,
     Window,
     WindowPolicy,

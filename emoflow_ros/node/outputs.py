@@ -16,7 +16,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.target_frame import NoTransformError

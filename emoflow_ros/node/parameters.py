@@ -1,8 +1,13 @@
-"""The node's ROS parameters: declared, checked and changed by the typed table of `settings`."""
+"""The node's ROS parameters: declared, checked and changed by the typed table of `settings`.
 
+`python -m emoflow_ros.node.parameters` writes docs/parameters.md from the same table.
+"""
+
+import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -14,6 +19,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.options import OptionInfo, unknown_option
 from emoflow_ros.errors import InputError
@@ -31,6 +37,21 @@ _CONNECTIONS = (
 )
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+_PAGE_HEAD = """\
+# Parameters of the node
+
+Generated from the table that the node declares them from; write it anew with
+`python -m emoflow_ros.node.parameters`. `evaluate --set NAME=VALUE` takes those of
+`window.*`, `estimator.*` and `imu.*`, too.
+
+A name that does not exist, or a value out of range, is refused with the reason. A dump of the
+node (`ros2 param dump`) can be loaded again: what cannot change may be in it unchanged. Parameters
+change at `any time` and count from the next window, while the node is `unconfigured`, or only
+`at start`. What to choose: [operations](operations.md#parameters),
+[method](method.md#parameters).
+"""
+_PAGE_COLUMNS = ("name", "type", "default", "unit", "range", "may change", "meaning")
 
 
 class Change(StrEnum):
@@ -156,3 +177,75 @@ def _descriptor(info: OptionInfo) -> ParameterDescriptor:
         high_int = _INT64_MAX if info.maximum is None else int(info.maximum)
         descriptor.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
     return descriptor
+
+
+def render() -> str:
+    """Render the page: all parameters, then the estimator's with the published method."""
+    usual = list(table(Settings(NodeOptions(), load_config("realtime"))))
+    published = table(Settings(NodeOptions(), load_config("paper")))
+    own = (info for info in published if info.name.startswith("estimator."))
+    parts = [
+        _PAGE_HEAD,
+        "## With the profile `realtime`\n",
+        _render_table(usual),
+        "## The estimator's with the profile `paper`\n",
+        "They take the place of those above with `paper`, `paper_early_stop` and `paper_dsec`.\n",
+        _render_table(own),
+    ]
+    return "\n".join(parts)
+
+
+def _render_table(infos: Iterable[OptionInfo]) -> str:
+    rows = [_PAGE_COLUMNS, ("---",) * len(_PAGE_COLUMNS), *map(_row, infos)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _row(info: OptionInfo) -> tuple[str, ...]:
+    value = info.value
+    default = str(value).lower() if isinstance(value, bool) else str(value)
+    return (
+        f"`{info.name}`",
+        type(value).__name__,
+        f"`{default}`" if default else "empty",
+        info.unit,
+        _range(info),
+        str(changes(info.name)),
+        info.description,
+    )
+
+
+def _range(info: OptionInfo) -> str:
+    if info.choices:
+        return ", ".join(f"`{choice}`" for choice in info.choices)
+    match info.minimum, info.maximum:
+        case None, None:
+            return ""
+        case low, None:
+            return f"from {low:g}"
+        case None, high:
+            return f"up to {high:g}"
+        case low, high:
+            return f"{low:g} to {high:g}"
+
+
+def main() -> int:
+    """Write the page."""
+    return run(_main)
+
+
+def _main() -> int:
+    parser = argparse.ArgumentParser(
+        description="Write docs/parameters.md from the typed table.",
+        epilog="Example: python -m emoflow_ros.node.parameters",
+    )
+    parser.add_argument(
+        "path", nargs="?", type=Path, default=Path("docs/parameters.md"), help="page to write"
+    )
+    path: Path = parser.parse_args().path
+    path.write_text(render())
+    print(f"wrote {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -11,7 +11,7 @@ from sensor_msgs.msg import CameraInfo
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.device import require_torch
+from emoflow_ros.core.config import require_torch
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.event_input import EventInput

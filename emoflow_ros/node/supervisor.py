@@ -12,9 +12,9 @@ from typing import Any
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
+from emoflow_ros.core.estimate import grid_times
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.options import replace_options
-from emoflow_ros.core.twist import grid_times
-from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.tasks import (
     Arrays,

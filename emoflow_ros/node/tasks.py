@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status, Twist
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
-from emoflow_ros.core.twist import Twist
-from emoflow_ros.core.windows import Window
 
 type Arrays = dict[str, NDArray[Any]]
 

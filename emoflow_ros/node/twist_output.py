@@ -21,14 +21,14 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
-from emoflow_ros.core.twist import (
+from emoflow_ros.core.estimate import (
     SpeedLog,
     Twist,
     at_middle,
     covariance_at_speed,
     covariance_in_frame,
 )
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import OutputOptions, ScaleOptions
 from emoflow_ros.node.target_frame import Matrix, make_target_frame

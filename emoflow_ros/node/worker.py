@@ -18,8 +18,8 @@ import numpy as np
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status, at_middle, sample
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.products import (
     Tracker,
@@ -28,11 +28,8 @@ from emoflow_ros.core.products import (
     sharpened_events,
     trails_at_unit_depth,
 )
-from emoflow_ros.core.twist import at_middle, sample
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.tasks import Arrays, Channel, Picture, Wishes, pack
-from emoflow_ros.tracebacks import keep_traceback
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 

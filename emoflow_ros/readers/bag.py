@@ -17,8 +17,7 @@ from rosbags.interfaces import Connection
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.bag_files import (
     MAGIC,

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.reader_base import (
     Imu,

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, is_hdf5, open_hdf5, row_before
 from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
 from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 
 # A few events outside are a sensor's glitch; more than this share tells of another sensor.

@@ -17,7 +17,7 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.evaluation.estimates_columns import quality_values
 from emoflow_ros.evaluation.window_results import Vector, WindowResult
 from emoflow_ros.truth import TrueTwist

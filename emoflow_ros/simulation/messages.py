@@ -10,8 +10,7 @@ from rosbags.typesys.store import Typestore
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.simulation.factors import Factors
 from emoflow_ros.simulation.random_layout import Layout, mover_box, quad_distance, random_layout
 from emoflow_ros.simulation.random_motion import Demand, Path, mover_path, random_path

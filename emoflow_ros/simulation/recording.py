@@ -7,8 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.raycast import RayCaster
 from emoflow_ros.simulation.scene import (

@@ -9,8 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.errors import InputError
 
 _TICK = 1_000  # ns: event cameras stamp in microseconds

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow

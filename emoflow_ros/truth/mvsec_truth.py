@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import holds, open_hdf5, refuse
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, FlowMaps, PropagatedFlow

@@ -14,8 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from emoflow_ros.core.events import Events
-from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
-from msg_adapters.wire import NS_PER_S, Cursor, DecodeError, Serialization
+from msg_adapters.message import (
+    NS_PER_S,
+    Bytes,
+    Cursor,
+    DecodeError,
+    EventMessage,
+    Serialization,
+    Statistics,
+    build_message,
+)
 
 TYPES = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
 

@@ -5,10 +5,17 @@ encoding, bool is_bigendian, uint8[] events. The drivers of 2021 to 2023 publish
 as event_array_msgs/EventArray.
 """
 
-from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
+from msg_adapters.message import (
+    Bytes,
+    Cursor,
+    DecodeError,
+    EventMessage,
+    Serialization,
+    Statistics,
+    build_message,
+)
 from msg_adapters.packet_decoder import PacketDecoder
 from msg_adapters.registry import make_packet_decoder, packet_decoders
-from msg_adapters.wire import Cursor, DecodeError, Serialization
 
 TYPES = ("event_camera_msgs/msg/EventPacket", "event_array_msgs/msg/EventArray")
 

@@ -21,8 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
-from msg_adapters.message import Bytes, EventMessage, Statistics, build_message
-from msg_adapters.wire import NS_PER_S, Cursor, DecodeError, Serialization
+from msg_adapters.message import (
+    NS_PER_S,
+    Bytes,
+    Cursor,
+    DecodeError,
+    EventMessage,
+    Serialization,
+    Statistics,
+    build_message,
+)
 
 TYPES = ("sensor_msgs/msg/PointCloud2",)
 

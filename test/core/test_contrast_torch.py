@@ -15,12 +15,12 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.contrast import Contrast, WindowEvents, best_constant_flow
 from emoflow_ros.core.contrast_torch import TorchContrast
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.events import WindowPolicy, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.recording import simulate
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import DistinctEvents, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import DistinctEvents, Events, Window, WindowPolicy, WindowSlicer
 
 MS = 1_000_000
 

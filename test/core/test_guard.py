@@ -7,8 +7,8 @@ import pytest
 
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.events import WindowSlicer
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import WindowSlicer
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.sensor import SensorModel
 

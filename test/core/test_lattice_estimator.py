@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 CONFIG = LatticeConfig()

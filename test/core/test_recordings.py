@@ -13,10 +13,9 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_S, Events, WindowPolicy, WindowSlicer
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
-from emoflow_ros.core.windows import NS_PER_S, WindowPolicy, WindowSlicer
 
 
 @dataclass(frozen=True)

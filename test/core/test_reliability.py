@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.second_look import ReliableOnly, probability_of_failure
-from emoflow_ros.core.windows import Window
 
 WINDOW = Window(0, 100, Events.empty())
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.products import sharpened_events, warped_counts
-from emoflow_ros.core.windows import Window
 
 WIDTH, HEIGHT = 40, 20
 MS = 1_000_000

@@ -5,8 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.twist import (
+from emoflow_ros.core.estimate import (
+    Estimate,
+    MotionModel,
+    Quality,
+    Status,
     Twist,
     at_middle,
     covariance_at_speed,

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
-from emoflow_ros.core.windows import NS_PER_MS, Window
 
 Array = NDArray[np.float64]
 

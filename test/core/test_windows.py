@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import TimeJumpError, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import Events, TimeJumpError, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 
 MS = 1_000_000

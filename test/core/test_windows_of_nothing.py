@@ -7,10 +7,9 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
-from emoflow_ros.core.windows import NS_PER_MS, Window
 from emoflow_ros.simulation.recording import simulate
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)

@@ -23,8 +23,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import Events, WindowPolicy, WindowSlicer
 from emoflow_ros.node.diagnostics import resident_mb
 
 STEP_MS = 5  # between two messages, of 5 events each

@@ -23,8 +23,7 @@ from std_msgs.msg import Header
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import WindowSlicer
+from emoflow_ros.core.events import Events, WindowSlicer
 from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate

@@ -13,8 +13,8 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
-from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 
 _POISON_X = 7  # a window of events in this column alone triggers the bad behaviour

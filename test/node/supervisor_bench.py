@@ -6,8 +6,7 @@ import numpy as np
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task, Wishes
 

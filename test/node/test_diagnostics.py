@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Level, Statistics, resident_mb
 from emoflow_ros.node.tasks import Loss, Result, Task
 

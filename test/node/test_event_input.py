@@ -6,8 +6,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import WindowPolicy
+from emoflow_ros.core.events import Events, WindowPolicy
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.simulation.messages import EVENT_ARRAY, MessageEncoder

@@ -110,7 +110,7 @@ class Slow:
             print("now", flush=True)
             time.sleep(60)
 sys.meta_path.insert(0, Slow())
-from emoflow_ros.executables import {name}
+from emoflow_ros.cli import {name}
 raise SystemExit({name}())
 """
     assert interrupted(code, signal.SIGINT, signal.SIGINT) == (130, "now\n", "interrupted\n")

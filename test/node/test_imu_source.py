@@ -17,10 +17,9 @@ from sensor_msgs.msg import CameraInfo
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import Events, Window, WindowSlicer
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.windows import Window, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.pipeline import Pipeline

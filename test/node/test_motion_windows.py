@@ -7,9 +7,8 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowSlicer
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Result, Task, Wishes
 

@@ -17,10 +17,8 @@ from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import MotionModel, Status
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.twist import at_middle
-from emoflow_ros.core.windows import Window
+from emoflow_ros.core.estimate import MotionModel, Status, at_middle
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.outputs import Outputs, to_diagnostics, to_image, to_tracks
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings

@@ -5,14 +5,14 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from emoflow_ros.core.config import load_config
-from emoflow_ros.node.parameter_docs import render
+from emoflow_ros.node.parameters import render
 from emoflow_ros.node.settings import NodeOptions, Settings, table
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
 
 
 def test_page_is_up_to_date() -> None:
-    assert PAGE.read_text() == render(), "run `python -m emoflow_ros.node.parameter_docs`"
+    assert PAGE.read_text() == render(), "run `python -m emoflow_ros.node.parameters`"
 
 
 @pytest.mark.parametrize("profile", ["realtime", "rigid", "paper", "paper_early_stop"])

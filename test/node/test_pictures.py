@@ -9,9 +9,8 @@ from fake_estimators import Recorder
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.products import flow_to_rgb
-from emoflow_ros.core.windows import Window
 from emoflow_ros.node.tasks import Picture, Wishes
 from emoflow_ros.node.worker import Painter
 

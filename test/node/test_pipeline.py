@@ -18,9 +18,8 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.estimate import Status, at_middle
 from emoflow_ros.core.events import Events
-from emoflow_ros.core.twist import at_middle
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.event_source import to_camera

@@ -16,7 +16,7 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import MAX_PIXELS, Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.windows import WindowPolicy
+from emoflow_ros.core.events import WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput

@@ -12,8 +12,7 @@ from messages import event_packet
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import WindowPolicy
+from emoflow_ros.core.events import Events, WindowPolicy
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.tasks import Task

@@ -17,7 +17,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64, String
 
-from emoflow_ros.core.twist import Twist
+from emoflow_ros.core.estimate import Twist
 from emoflow_ros.node.settings import ScaleOptions
 from emoflow_ros.node.twist_output import (
     Scale,

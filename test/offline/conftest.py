@@ -9,8 +9,7 @@ import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.simulation.recording import davis346, simulate
 from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
 

@@ -9,7 +9,7 @@ import pytest
 from synthetic import Plane, write_dsec
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import evaluate_command
 from emoflow_ros.evaluation.estimates_file import read_estimates

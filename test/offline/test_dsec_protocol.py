@@ -6,8 +6,7 @@ from known import ANGULAR, LINEAR, START, Known, errors_of, velocity
 from synthetic import Plane, write_dsec
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
 from emoflow_ros.evaluation.protocols import make_plan
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.window_run import evaluate

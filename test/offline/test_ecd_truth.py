@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.truth import load_truth

@@ -9,7 +9,7 @@ import pytest
 from known import Known
 
 from emoflow_ros.commands import info
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import WindowPolicy, WindowSlicer
 from emoflow_ros.evaluation import evaluate_command
 from emoflow_ros.evaluation.window_run import evaluate as evaluate_all
 from emoflow_ros.readers import READERS, open_recording

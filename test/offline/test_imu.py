@@ -12,7 +12,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from emoflow_ros.commands.info import inspect, main
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.bag import IMU_TYPE, choose_imu, read_imu

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
-from emoflow_ros.labels.label_chunks import Chunk, _windows, event_span, plan_chunks
+from emoflow_ros.core.events import Events, WindowPolicy, WindowSlicer
+from emoflow_ros.labels.label_chunks import Chunk, _windows
+from emoflow_ros.labels.label_run import event_span, plan_chunks
 from emoflow_ros.readers import open_recording
 
 MS = 1_000_000

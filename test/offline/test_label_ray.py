@@ -13,11 +13,11 @@ import h5py
 import numpy as np
 import pytest
 
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.labels import label_command
-from emoflow_ros.labels.label_chunks import ray_workers
+from emoflow_ros.labels.label_command import ray_workers
 from emoflow_ros.readers import open_recording
 
 ROOT = Path(__file__).parents[2]

@@ -18,8 +18,7 @@ from synthetic import (
 )
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S, WindowPolicy
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
 from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES, BenchmarkSequence
 from emoflow_ros.evaluation.evaluate_command import main
 from emoflow_ros.evaluation.protocols import make_plan

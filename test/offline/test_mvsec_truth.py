@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.truth import load_truth
 from emoflow_ros.truth.mvsec_truth import SmoothedOdometry, load_mvsec_truth

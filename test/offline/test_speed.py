@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.offline import figures, table
 from emoflow_ros.core.config import load_config
+from emoflow_ros.core.events import WindowSlicer
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.windows import WindowSlicer
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.window_run import evaluate
 from emoflow_ros.readers import open_recording

@@ -9,7 +9,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.windows import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.truth.dsec_flow import DsecInterval, Submission, read_flow_png, write_flow_png
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.windows import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow
 from emoflow_ros.truth.ground_truth import PoseTrack, PoseTwist, TrueFlow

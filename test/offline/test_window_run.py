@@ -10,7 +10,7 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.windows import WindowPolicy, WindowSlicer
+from emoflow_ros.core.events import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import Published
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates

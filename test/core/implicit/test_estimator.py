@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from emoflow_ros.core import camera_motion
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.implicit.assess import assess
 from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 from emoflow_ros.core.implicit.field import MotionSpline
@@ -22,7 +22,6 @@ from emoflow_ros.core.implicit.implicit_config import (
     WarpConfig,
 )
 from emoflow_ros.core.implicit.losses import PixelMaps
-from emoflow_ros.core.windows import Window
 from emoflow_ros.errors import InputError
 
 START = 1_500_000_000_000_000_000  # a realistic epoch, where float32 seconds would fail
