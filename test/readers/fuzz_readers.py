@@ -22,6 +22,7 @@ from types import FrameType
 
 import h5py
 import numpy as np
+import psutil
 
 TESTS = Path(__file__).parents[1]
 sys.path[:0] = [str(TESTS.parent), str(TESTS / "recordings"), str(TESTS / "msg_adapters")]
@@ -128,8 +129,8 @@ def _too_long(number: int, frame: FrameType | None) -> None:
 
 
 def _limit_memory() -> None:
-    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, resource.RLIM_INFINITY))
+    limit = psutil.Process().memory_info().vms + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
 
 
 def read_recording(path: Path) -> None:
