@@ -29,7 +29,7 @@ lint: setup  ## style and types
 
 test: messages lint  ## lint, types and all tests but the long ones
 	@$(ENV)
-	python -m pytest -m "not soak" --numprocesses 2 $(PYTEST_ARGS)
+	python -m pytest --timeout 120 --numprocesses 2 $(PYTEST_ARGS)
 
 bench: messages  ## all of benchmarks/
 	@$(ENV)
