@@ -29,7 +29,7 @@ lint: setup  ## style and types
 
 test: messages lint  ## lint, types and all tests but the long ones
 	@$(ENV)
-	python -m pytest -m "not soak" --numprocesses 2 $(PYTEST_ARGS)
+	python -m pytest --timeout 120 --numprocesses 2 $(PYTEST_ARGS)
 
 bench: messages  ## all of benchmarks/
 	@$(ENV)
@@ -53,7 +53,7 @@ fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris,
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR="$$cache" python -m pytest --timeout 0 \
 		--hypothesis-profile fuzz test/msg_adapters/test_properties.py
 	python test/msg_adapters/fuzz_decoders.py
-	python test/offline/fuzz_readers.py --runs 1000
+	python test/readers/fuzz_readers.py --runs 1000
 
 soak: messages  ## the tests that take minutes, and random faults for an hour; SOAK_S=180: for 180 s
 	@$(ENV)

@@ -8,7 +8,7 @@ PACKAGE = "emoflow_ros"
 
 setup(
     name=PACKAGE,
-    version="0.1.0",
+    version="0.2.0",
     description="Camera egomotion and dense optical flow from event cameras.",
     license="Apache-2.0",
     python_requires=">=3.12",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray
@@ -111,20 +112,17 @@ class Sample:
 
     @classmethod
     def of(cls, role: str, pid: int) -> "Sample":
-        """Read a process from /proc.
+        """Look at a process.
 
         Raises:
             InputError: it has ended.
         """
         try:
-            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-            # Field 2, the name in parentheses, may hold blanks; utime and stime are 14 and 15.
-            stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        except OSError:
+            process = psutil.Process(pid)
+            memory, used = process.memory_info(), process.cpu_times()
+        except psutil.NoSuchProcess:
             raise InputError(role, "ended during the run", "see its message above") from None
-        ticks = int(stat[11]) + int(stat[12])
-        resident = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-        return cls(time.time(), resident, ticks / os.sysconf("SC_CLK_TCK"))
+        return cls(time.time(), memory.rss / 1e6, used.user + used.system)
 
 
 @dataclass
@@ -259,10 +257,7 @@ def _running(name: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 def _pids(node: int) -> dict[str, int]:
     """Find the node's processes: the worker is its only grandchild, the server between them."""
-    [(server, worker)] = [(child, below) for child in _children(node) for below in _children(child)]
-    return {"node": node, "worker": worker, "server": server, "benchmark": os.getpid()}
-
-
-def _children(pid: int) -> list[int]:
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]
+    children = psutil.Process(node).children()
+    [(server, worker)] = [(child, below) for child in children for below in child.children()]
+    pids = {"node": node, "worker": worker.pid, "server": server.pid}
+    return pids | {"benchmark": os.getpid()}

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 from matplotlib.figure import Figure
 from scipy.stats import linregress
 from tqdm import tqdm
@@ -214,8 +215,7 @@ def _point(label: str, camera: Camera, windows: Sequence[Window]) -> Point:
 def resident_mib() -> float:
     """Memory that this process holds now, MiB."""
     gc.collect()
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    return float(psutil.Process().memory_info().rss / 2**20)
 
 
 def table(name: str, points: Sequence[Point], line: Line) -> str:

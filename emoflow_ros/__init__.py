@@ -1,3 +1,3 @@
 """Camera egomotion and dense optical flow from event cameras by test-time optimisation."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -36,6 +36,9 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 # a process would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+sys.path.insert(0, str(ROOT / "test" / "recordings"))
+pytest_plugins = ["recording_fixtures"]
+
 _locks: list[IO[str]] = []  # open for as long as this process has the domain
 
 

@@ -82,6 +82,7 @@ KEY_OF = {
     "matplotlib": "python3-matplotlib",
     "numba": PIP,
     "numpy": "python3-numpy",
+    "psutil": "python3-psutil",
     "ray": PIP,
     "rcl_interfaces": "rcl_interfaces",
     "rclpy": "rclpy",

@@ -1,5 +1,6 @@
 """What set-up rests on: the package description, the locks and the executables."""
 
+import os
 import re
 import subprocess
 import sys
@@ -51,6 +52,19 @@ def test_locks_of_one_environment_agree() -> None:
     assert {n: first[n] for n in first.keys() & second} == {
         n: second[n] for n in first.keys() & second
     }
+
+
+def test_tests_with_a_limit_need_no_plugin_of_pytest() -> None:
+    """`colcon test` runs them with the plugins that there are, perhaps none."""
+    marked = [p for p in (ROOT / "test").rglob("test_*.py") if "mark.timeout(" in p.read_text()]
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "", *marked]
+    environment = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    ran = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert {path.name for path in marked} > {"test_soak.py", "test_fuzz_readers.py"}
+    assert all(path.name in ran.stdout for path in marked)
 
 
 @pytest.mark.parametrize("executable", sorted(entry_points()))

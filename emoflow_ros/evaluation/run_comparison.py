@@ -55,8 +55,8 @@ class Difference:
         windows: how many pairs.
         first, mean: the error of the first run and of this one, averaged over the pairs.
         difference, low, high: mean difference with its 95 % bootstrap interval.
-        p: two-sided p-value of the mean difference, by paired bootstrap over windows; NaN with
-            fewer than two pairs.
+        p: two-sided p-value of the mean difference, by random signs of the windows' differences;
+            NaN with fewer than two pairs.
     """
 
     name: str

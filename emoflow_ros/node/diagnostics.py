@@ -6,9 +6,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 
 import numpy as np
+import psutil
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import DistinctEvents
@@ -222,12 +222,11 @@ class Statistics:
 
 
 def resident_mb(pid: int) -> float:
-    """Resident memory of a process in MiB, 0 if it is gone (Linux's proc(5), statm)."""
+    """Resident memory of a process in MiB, 0 if it is gone or may not be looked at."""
     try:
-        pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
-    except (OSError, IndexError):
+        return float(psutil.Process(pid).memory_info().rss / 2**20)
+    except psutil.Error:
         return 0.0
-    return int(pages) * os.sysconf("SC_PAGESIZE") / 2**20
 
 
 def _without_estimates(recent: Counter[str]) -> Iterator[tuple[Level, str]]:

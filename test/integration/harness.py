@@ -1,6 +1,5 @@
 """The other end of the node in tests: processes under test, and a ROS node that talks to them."""
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -12,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+import psutil
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from dvs_msgs.msg import EventArray
@@ -55,11 +55,10 @@ def contention() -> float:
 
 def children(pid: int) -> list[int]:
     """Process ids of the direct children, whichever thread started them."""
-    found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # the thread has ended
-            found += map(int, task.read_text().split())
-    return found
+    try:
+        return [child.pid for child in psutil.Process(pid).children()]
+    except psutil.NoSuchProcess:
+        return []
 
 
 class Peer:

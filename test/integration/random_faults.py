@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness import CAMERA, MS, Peer, Processes, children
 from lifecycle_msgs.msg import Transition
@@ -289,8 +290,8 @@ class Script:
         return [worker for child in children(self._node) for worker in children(child)]
 
     def _resources(self) -> tuple[int, int, int, int, float]:
-        folder = Path(f"/proc/{self._node}")
-        threads, files = (len(list((folder / kind).iterdir())) for kind in ("task", "fd"))
+        process = psutil.Process(self._node)
+        threads, files = process.num_threads(), process.num_fds()
         below = len(children(self._node)) + len(self._workers())
         memory = len(self.shared_memory())
         return threads, files, below, memory, resident_mb(self._node)

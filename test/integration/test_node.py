@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from harness import CAMERA, MS, WAIT_S, Peer, Processes, children, contention, wait_for
 from lifecycle_msgs.msg import Transition
@@ -91,9 +92,7 @@ def test_signal_ends_the_node_mid_optimisation(
     os.killpg(node.pid, wish) if wish is signal.SIGINT else node.send_signal(wish)
     assert node.wait(WAIT_S) == 0
     assert time.monotonic() - started < 1.0 * contention()
-    wait_for(
-        lambda: not any(Path(f"/proc/{pid}").exists() for pid in descendants), "no process is left"
-    )
+    wait_for(lambda: not any(map(psutil.pid_exists, descendants)), "no process is left")
     assert "Traceback" not in processes.output(node)
 
 
@@ -116,9 +115,7 @@ def test_two_interrupts_while_starting_end_the_node_in_one_line(
     assert node.wait(WAIT_S) == 0
     said = [line for line in processes.output(node).splitlines() if "[INFO]" not in line]
     assert said == ["SIGINT: the node ends"]
-    wait_for(
-        lambda: not any(Path(f"/proc/{pid}").exists() for pid in descendants), "no process is left"
-    )
+    wait_for(lambda: not any(map(psutil.pid_exists, descendants)), "no process is left")
 
 
 def test_malformed_messages_among_good_ones(peer: Peer, recorder: SharedNode) -> None:

@@ -3,8 +3,8 @@
 import os
 import signal
 import time
-from pathlib import Path
 
+import psutil
 import pytest
 from geometry_msgs.msg import TwistStamped
 from harness import CAMERA, MS, Peer, Processes, children
@@ -40,8 +40,8 @@ def outputs_of(peer: Peer) -> list[str]:
 
 def resources(pid: int) -> tuple[int, int, int]:
     """Count the threads, open files and processes below."""
-    threads, files = (len(list(Path(f"/proc/{pid}/{kind}").iterdir())) for kind in ("task", "fd"))
-    return threads, files, len(children(pid)) + len(worker_of(pid))
+    process = psutil.Process(pid)
+    return process.num_threads(), process.num_fds(), len(children(pid)) + len(worker_of(pid))
 
 
 @pytest.mark.parametrize("times", few_and_many(10, 50))

@@ -6,9 +6,9 @@ import signal
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import psutil
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
@@ -125,8 +125,7 @@ class Greedy(Poisoned):
     """Wants more memory than there is: the process may not have 256 MiB more."""
 
     def misbehave(self) -> None:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        limit = pages * resource.getpagesize() + 2**28
+        limit = psutil.Process().memory_info().vms + 2**28
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         np.ones(2**29)
 

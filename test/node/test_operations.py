@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("node", "integration", "core", "readers", "truth", "evaluation", "labels", "commands")
 COLUMNS = ["fault", "what the node does", "what is lost", "test"]
 
 
@@ -26,8 +27,7 @@ def table() -> list[list[str]]:
 @cache
 def existing() -> set[str]:
     """Names of all tests of the node, alone and over DDS, of the core and of recordings."""
-    folders = [ROOT / "test" / name for name in ("node", "integration", "core", "offline")]
-    files = [path for folder in folders for path in folder.glob("test_*.py")]
+    files = [path for name in FOLDERS for path in (ROOT / "test" / name).glob("test_*.py")]
     bodies = [ast.parse(path.read_text()).body for path in files]
     return {node.name for body in bodies for node in body if isinstance(node, ast.FunctionDef)}
 

@@ -6,8 +6,8 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult  # noqa: E402
-from rclpy.context import Context  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from ros_nodes import ros_context  # noqa: E402
 
 from emoflow_ros.core.config import Config, load_config  # noqa: E402
 from emoflow_ros.errors import InputError  # noqa: E402
@@ -17,19 +17,13 @@ from emoflow_ros.node.settings import NodeOptions, Settings, table  # noqa: E402
 
 @pytest.fixture
 def make_node() -> Iterator[Callable[..., Any]]:
-    context = Context()
-    rclpy.init(context=context)
-    nodes = []
+    with ros_context() as context:
 
-    def make(**overrides: Any) -> Any:
-        given = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
-        nodes.append(rclpy.create_node("p", context=context, parameter_overrides=given))
-        return nodes[-1]
+        def make(**overrides: Any) -> Any:
+            given = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
+            return rclpy.create_node("p", context=context, parameter_overrides=given)
 
-    yield make
-    for node in nodes:
-        node.destroy_node()
-    rclpy.shutdown(context=context)
+        yield make
 
 
 def declare(node: Any, configured: bool = True) -> tuple[NodeParameters, list[Settings]]:

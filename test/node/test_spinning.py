@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
+from ros_nodes import ros_context
 
 from emoflow_ros.node.estimator_node import spin_until_asked
 
@@ -19,12 +19,8 @@ CALLBACKS = 500
 
 @pytest.fixture
 def node() -> Iterator[Node]:
-    context = Context()
-    rclpy.init(context=context)
-    made = rclpy.create_node("spinning", context=context)
-    yield made
-    made.destroy_node()
-    rclpy.shutdown(context=context)
+    with ros_context() as context:
+        yield rclpy.create_node("spinning", context=context)
 
 
 def test_nothing_is_kept_of_a_callback_that_has_run(node: Node) -> None:

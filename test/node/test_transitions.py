@@ -7,13 +7,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-import rclpy
 from fake_supervisor import FakeSupervisor, install_fake_supervisor
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher, TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from ros_nodes import ros_context
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import estimator_node, event_source, outputs, pipeline
@@ -74,12 +74,8 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    context = Context()
-    rclpy.init(context=context)
-    made = Bench(context, monkeypatch)
-    yield made
-    made.node.destroy_node()
-    rclpy.shutdown(context=context)
+    with ros_context() as context:
+        yield Bench(context, monkeypatch)
 
 
 def broken(*args: Any, **kwargs: Any) -> Any:

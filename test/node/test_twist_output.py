@@ -15,6 +15,7 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from ros_nodes import ros_context
 from std_msgs.msg import Float64, String
 
 from emoflow_ros.core.estimate import Twist
@@ -37,12 +38,10 @@ HEADER = to_header(1_500_000_000_123_456_789, "camera")
 class Peers:
     """A node that listens and one that publishes."""
 
-    def __init__(self) -> None:
-        self.context = Context()
-        rclpy.init(context=self.context)
-        self._executor = SingleThreadedExecutor(context=self.context)
-        self.listener = rclpy.create_node("listener", context=self.context)
-        self.talker = rclpy.create_node("talker", context=self.context)
+    def __init__(self, context: Context) -> None:
+        self._executor = SingleThreadedExecutor(context=context)
+        self.listener = rclpy.create_node("listener", context=context)
+        self.talker = rclpy.create_node("talker", context=context)
         self._executor.add_node(self.listener)
 
     def spin_until(self, condition: Callable[[], Any]) -> None:
@@ -53,16 +52,14 @@ class Peers:
 
     def close(self) -> None:
         self._executor.shutdown()
-        self.listener.destroy_node()
-        self.talker.destroy_node()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture
 def peers() -> Iterator[Peers]:
-    made = Peers()
-    yield made
-    made.close()
+    with ros_context() as context:
+        made = Peers(context)
+        yield made
+        made.close()
 
 
 def odometry(sec: int, x: float, y: float, z: float) -> Odometry:

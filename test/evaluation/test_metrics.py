@@ -137,6 +137,24 @@ def test_p_value_does_not_depend_on_the_order_of_runs():
     assert paired_p_value(-values) == pytest.approx(paired_p_value(values))
 
 
+def test_p_value_of_few_pairs_counts_all_signs():
+    assert paired_p_value(np.array([1.0, 2.0, 3.0])) == 2 / 8  # +++ and ---
+    assert paired_p_value(np.array([-1.0, 2.0, 3.0])) == 4 / 8  # also -++ and +--
+
+
+def test_values_that_are_not_finite_give_neither_interval_nor_p_value():
+    for bad in (np.nan, np.inf):
+        values = np.append(np.arange(20.0), bad)
+        assert np.isnan(bootstrap_interval(values, np.mean)).all()
+        assert np.isnan(paired_p_value(values))
+
+
+def test_same_values_have_the_same_interval_and_p_value():
+    values = np.random.default_rng(5).normal(0.1, 1, 100)
+    assert bootstrap_interval(values, np.median) == bootstrap_interval(values, np.median)
+    assert paired_p_value(values) == paired_p_value(values)
+
+
 def test_extreme_p_values():
     assert paired_p_value(np.zeros(20)) == 1.0
     assert paired_p_value(np.full(20, 0.5)) == pytest.approx(1 / 1001)

@@ -93,7 +93,7 @@ def test_file_without_events(call, tmp_path, calib, name):
 def test_aedat4_file(call, tmp_path, calib):
     """200 events in 2 ms, written by dv-processing; of a DAVIS346."""
     pytest.importorskip("aedat", reason="the optional package aedat is not installed")
-    path = Path(__file__).parent / "data" / "events.aedat4"
+    path = Path(__file__).parents[1] / "recordings" / "events.aedat4"
     wide = tmp_path / "wide.yaml"
     wide.write_text(
         "image_width: 346\nimage_height: 260\ndistortion_model: plumb_bob\n"

@@ -1,19 +1,13 @@
-"""Tiny bags for the tests of this folder, written with rosbags."""
+"""Tiny bags of dvs_msgs/EventArray, written with rosbags."""
 
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from emoflow_ros.core.events import NS_PER_S, Events
-from emoflow_ros.simulation.recording import davis346, simulate
-from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
-
-sys.path.insert(0, str(Path(__file__).parent))  # known.py, synthetic.py
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 _DEFINITIONS = {
@@ -22,44 +16,7 @@ _DEFINITIONS = {
 }
 
 
-@pytest.fixture
-def make_events():
-    return _make_events
-
-
-@pytest.fixture(scope="session")
-def calm_bag(tmp_path_factory):
-    """0.4 s of the simulator's scene `calm`, as rosbag2."""
-    return _simulated(tmp_path_factory, "calm")
-
-
-@pytest.fixture(scope="session")
-def mover_bag(tmp_path_factory):
-    """0.4 s of the same scene with a box that moves by itself."""
-    return _simulated(tmp_path_factory, "mover")
-
-
-def _simulated(tmp_path_factory, scene: str) -> OutputPaths:
-    recording = simulate(
-        scene, duration_s=0.4, seed=1, camera=davis346("plumb_bob"), fps=400, start_ns=10**9
-    )
-    files = OutputPaths.within(tmp_path_factory.mktemp("sim"), scene, "rosbag2")
-    write_recording(recording, files, "rosbag2")
-    return files
-
-
-@pytest.fixture
-def without_page(monkeypatch):
-    """Leave the page of a report empty: it takes seconds to draw; report.json and the rest stay."""
-    monkeypatch.setattr("emoflow_ros.report.report_writer._html", lambda *_: "")
-
-
-@pytest.fixture
-def write_event_bag():
-    return _write_event_bag
-
-
-def _make_events(n: int, width: int = 32, height: int = 24, start_s: float = 1.0) -> Events:
+def make_events(n: int, width: int = 32, height: int = 24, start_s: float = 1.0) -> Events:
     """Events at 1 ms intervals that walk over the sensor."""
     k = np.arange(n)
     return Events(
@@ -100,7 +57,7 @@ def _columns(events: Events):
     return events.x.tolist(), events.y.tolist(), events.t.tolist(), events.p.tolist()
 
 
-def _write_event_bag(
+def write_event_bag(
     path: Path,
     batches: list[Events],
     *,

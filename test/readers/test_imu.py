@@ -19,7 +19,7 @@ from emoflow_ros.readers.bag import IMU_TYPE, choose_imu, read_imu
 from emoflow_ros.readers.bag_files import open_bag, read_messages
 from emoflow_ros.readers.reader_base import Imu
 
-AEDAT4 = Path(__file__).parent / "data" / "events.aedat4"
+AEDAT4 = Path(__file__).parents[1] / "recordings" / "events.aedat4"
 N = 50
 
 

@@ -12,7 +12,8 @@ from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 
-AEDAT4 = Path(__file__).parent / "data" / "events.aedat4"  # 200 events, written by dv-processing
+# 200 events, written by dv-processing
+AEDAT4 = Path(__file__).parents[1] / "recordings" / "events.aedat4"
 
 
 @pytest.fixture

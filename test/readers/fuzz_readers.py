@@ -4,7 +4,7 @@ Bytes of a small valid file are flipped, zeroed, cut out or doubled, or its end 
 what is left may end in an InputError of one line, and in nothing else: no other exception, not
 more memory than a small file explains, no hang.
 
-    python test/offline/fuzz_readers.py [--runs N] [--seed N] [--format NAME]
+    python test/readers/fuzz_readers.py [--runs N] [--seed N] [--format NAME]
 """
 
 import argparse
@@ -22,12 +22,13 @@ from types import FrameType
 
 import h5py
 import numpy as np
+import psutil
 
-FOLDER = Path(__file__).parent
-sys.path[:0] = [str(FOLDER), str(FOLDER.parents[1]), str(FOLDER.parent / "msg_adapters")]
+TESTS = Path(__file__).parents[1]
+sys.path[:0] = [str(TESTS.parent), str(TESTS / "recordings"), str(TESTS / "msg_adapters")]
 
-from conftest import _make_events, _write_event_bag  # noqa: E402
 from encoders import ENCODERS, payload  # noqa: E402
+from event_bags import make_events, write_event_bag  # noqa: E402
 
 from emoflow_ros.core.calibration import load_calibration  # noqa: E402
 from emoflow_ros.core.camera import Camera  # noqa: E402
@@ -128,8 +129,8 @@ def _too_long(number: int, frame: FrameType | None) -> None:
 
 
 def _limit_memory() -> None:
-    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, resource.RLIM_INFINITY))
+    limit = psutil.Process().memory_info().vms + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
 
 
 def read_recording(path: Path) -> None:
@@ -156,7 +157,7 @@ def read_truth(path: Path) -> None:
 def _bag(storage: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         path = folder / ("a.bag" if storage == "ros1" else f"a_{storage}")
-        _write_event_bag(path, [_make_events(100), _make_events(100, start_s=2)], storage=storage)
+        write_event_bag(path, [make_events(100), make_events(100, start_s=2)], storage=storage)
         return path if storage == "ros1" else next(p for p in path.iterdir() if p.suffix != ".yaml")
 
     return make
@@ -165,18 +166,18 @@ def _bag(storage: str) -> Callable[[Path], Path]:
 def _raw(folder: Path) -> Path:
     path = folder / "a.raw"
     header = b"% evt 3.0\n% geometry 32x24\n% end\n"
-    path.write_bytes(header + payload(ENCODERS["evt3"](_make_events(100))))
+    path.write_bytes(header + payload(ENCODERS["evt3"](make_events(100))))
     return path
 
 
 def _npz(folder: Path) -> Path:
-    events = _make_events(100)
+    events = make_events(100)
     np.savez(folder / "a.npz", x=events.x, y=events.y, t_ns=events.t, p=events.p)
     return folder / "a.npz"
 
 
 def _dsec(folder: Path) -> Path:
-    events = _make_events(300)
+    events = make_events(300)
     with h5py.File(folder / "events.h5", "w") as file:
         for name, column in _columns(events):
             file.create_dataset(f"events/{name}", data=column, chunks=(100,), compression="gzip")
@@ -190,7 +191,7 @@ def _columns(events: Events) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _columns_file(folder: Path) -> Path:
-    events = _make_events(300)
+    events = make_events(300)
     with h5py.File(folder / "columns.h5", "w") as file:
         for name, column in _columns(events):
             file[f"prophesee/left/{name}"] = column
@@ -199,7 +200,7 @@ def _columns_file(folder: Path) -> Path:
 
 
 def _mvsec(folder: Path) -> Path:
-    events = _make_events(300)
+    events = make_events(300)
     with h5py.File(folder / "a_data.hdf5", "w") as file:
         table = [events.x, events.y, events.t / 1e9, np.where(events.p, 1, -1)]
         file["davis/left/events"] = np.stack(table, axis=1)
@@ -207,7 +208,7 @@ def _mvsec(folder: Path) -> Path:
 
 
 def _ecd(folder: Path) -> Path:
-    events = _make_events(300)
+    events = make_events(300)
     (folder / "ecd").mkdir()
     rows = zip(events.t / 1e9, events.x, events.y, events.p, strict=True)
     text = "".join(f"{t:.9f} {x} {y} {int(p)}\n" for t, x, y, p in rows)
