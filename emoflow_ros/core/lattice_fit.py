@@ -31,7 +31,7 @@ _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
 _STRUCTURE_INLIER_PX = 1.0
 
 # w and v in the middle of the window from the motion's unknowns, (6, 25).
-TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
+_TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
 
 
 @dataclass(frozen=True)
@@ -281,9 +281,9 @@ class LatticeFit:
         mean = np.tile(motion.v.mean(axis=0), CONTROL_POINTS) / CONTROL_POINTS
         corner[of_v, of_v] += evidence * np.outer(mean, mean)
         if prior is not None:
-            present = TO_MIDDLE[:, :-1] @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
-            corner += TO_MIDDLE.T @ prior.information @ TO_MIDDLE
-            corner_vector -= TO_MIDDLE.T @ prior.information @ (present - prior.mean)
+            present = _TO_MIDDLE[:, :-1] @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
+            corner += _TO_MIDDLE.T @ prior.information @ _TO_MIDDLE
+            corner_vector -= _TO_MIDDLE.T @ prior.information @ (present - prior.mean)
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
         diagonal = np.diag_indices_from(corner)
