@@ -67,8 +67,12 @@ class ModelSelector:
         evidence = epipolar.usable * np.trace(free.information, axis1=1, axis2=2)
         flow = np.einsum("nij,nj->ni", epipolar.to_bearing, free.flow)
         agreement = cheirality(epipolar.bearings, flow, v, w, evidence)
-        rotation, rotation_cost = epipolar.rotation(*free.evidence)
-        _, full_cost = epipolar.score(v, *free.evidence)
+        # The bounds were measured with the information as the contrast tells it.
+        known = np.zeros(3), np.zeros((3, 3))
+        if free.known is not None:
+            known = free.known[0], INFORMATION_EXCESS * free.known[1]
+        rotation, rotation_cost = epipolar.rotation(free.flow, free.information, known)
+        _, full_cost = epipolar.score(v, free.flow, free.information, known)
         left = _evident_norm(free.flow - epipolar.b @ rotation, free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
