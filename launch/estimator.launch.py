@@ -17,7 +17,7 @@ ARGUMENTS = {
         "YAML file of ROS parameters, or the name of one in config/sensors (mvsec, dsec, davis240, "
         "evk4); counts before profile and twist_rate",
     ),
-    "twist_rate": ("0.0", "twists per second, sampled inside the windows; 0: one per window"),
+    "twist_rate": ("60.0", "twists per second, of the newest event; 0: one per window"),
     "speed": ("", "speed of the camera in m/s, if it is known; empty: directions without a scale"),
     "frame": ("", "optical frame of the camera; empty: that of the event messages"),
     "use_sim_time": ("false", "take time from /clock"),

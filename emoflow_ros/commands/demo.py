@@ -18,18 +18,18 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from emoflow_ros.cli import run
-from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_file import Estimates, read_estimates
 from emoflow_ros.evaluation.metrics import angle_deg
 from emoflow_ros.node.topic_search import import_message_type
+from emoflow_ros.node.twist_output import to_ns
 from emoflow_ros.readers import open_recording
 from emoflow_ros.truth import Truth, load_truth
 from msg_adapters import make_decoder
@@ -53,21 +53,28 @@ class Collected:
     """What came over DDS.
 
     Attributes:
-        twists: (linear, angular) by stamp in ns.
-        twist_arrivals: monotonic time in s by stamp.
+        twists: those of windows, (linear, angular) by stamp in ns.
+        twist_arrivals: monotonic time in s by stamp, of the same.
+        present_arrivals: the same of the twists of now.
         event_arrivals: (time of the message's last event in ns, monotonic time in s).
     """
 
     twists: dict[int, tuple[Vector, Vector]] = field(default_factory=dict)
     twist_arrivals: dict[int, float] = field(default_factory=dict)
+    present_arrivals: dict[int, float] = field(default_factory=dict)
     event_arrivals: list[tuple[int, float]] = field(default_factory=list)
 
     def latency_ms(self, stamp: int, t_end: int) -> float:
         """Time from the event that completed the window to the twist; NaN if one is missing."""
-        complete = next((arrival for last, arrival in self.event_arrivals if last >= t_end), None)
-        if complete is None or stamp not in self.twist_arrivals:
-            return float("nan")
-        return (self.twist_arrivals[stamp] - complete) * 1e3
+        return self._since(t_end, self.twist_arrivals.get(stamp))
+
+    def present_ages_ms(self) -> list[float]:
+        """Time from the event at each stamp to the twist of now with that stamp."""
+        return [self._since(stamp, arrival) for stamp, arrival in self.present_arrivals.items()]
+
+    def _since(self, t: int, arrival: float | None) -> float:
+        event = next((arrived for last, arrived in self.event_arrivals if last >= t), None)
+        return float("nan") if event is None or arrival is None else (arrival - event) * 1e3
 
 
 def main() -> int:
@@ -107,8 +114,9 @@ class _Subscriber(Node):
         self.collected = Collected()
         self._decoder = make_decoder(_EVENTS_TYPE, "cdr")
         self.twists = self.create_subscription(
-            TwistStamped, "/egomotion/twist", self._take_twist, 100
+            TwistWithCovarianceStamped, "/egomotion/twist_with_covariance", self._take_twist, 100
         )
+        self.create_subscription(TwistStamped, "/egomotion/twist", self._take_present, 1000)
         # Replay starts with the first subscriber, and that shall be the node.
         self._wait = self.create_timer(0.02, self._follow_the_node)
 
@@ -119,9 +127,12 @@ class _Subscriber(Node):
                 import_message_type(_EVENTS_TYPE), _EVENTS, self._take_events, 1000, raw=True
             )
 
-    def _take_twist(self, message: TwistStamped) -> None:
-        stamp = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
-        v, w = message.twist.linear, message.twist.angular
+    def _take_present(self, message: TwistStamped) -> None:
+        self.collected.present_arrivals[to_ns(message.header.stamp)] = time.monotonic()
+
+    def _take_twist(self, message: TwistWithCovarianceStamped) -> None:
+        stamp = to_ns(message.header.stamp)
+        v, w = message.twist.twist.linear, message.twist.twist.angular
         self.collected.twists[stamp] = (np.array([v.x, v.y, v.z]), np.array([w.x, w.y, w.z]))
         self.collected.twist_arrivals[stamp] = time.monotonic()
 
@@ -204,6 +215,11 @@ def _show(collected: Collected, estimates: Estimates, truth: Truth, folder: Path
         f"{np.degrees(max(differences)):.4f} deg/s"
     )
     print("ms: from the event that completes a window to the arrival of its twist")
+    ages = collected.present_ages_ms()
+    print(
+        f"{len(ages)} twists of now came on /egomotion/twist; from the event at their stamp they "
+        f"took {np.nanmedian(ages or [np.nan]):.0f} ms (median)"
+    )
     for name in ("report.html", "report.json", "estimates.h5"):
         print(folder / name)
     return 0 if 0 < arrived == expected else _EXIT_INCOMPLETE

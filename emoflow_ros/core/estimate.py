@@ -1,6 +1,6 @@
-"""What an estimator returns for a window, what every estimator offers, and twists of an estimate.
+"""What an estimator returns for a window, what every estimator offers, and twists.
 
-The twists are those at chosen times, at a speed known from elsewhere, in another frame.
+A twist may be brought to a speed known from elsewhere, and into another frame.
 """
 
 from collections import deque
@@ -12,10 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_S, Window
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro_checks import GyroStatus
 
-_MOST_SAMPLES = 10_000  # of one window, however long it is
 _KEPT_SPEEDS = 1000  # speeds: seconds of any odometry
 
 
@@ -187,6 +186,19 @@ class Twist:
         return replace(self, linear=rotation @ self.linear, angular=rotation @ self.angular)
 
 
+@dataclass(frozen=True)
+class PresentTwist:
+    """The motion at the newest event (core.present_motion).
+
+    Attributes:
+        twist: linear is a unit direction, or zero where it is not observable.
+        covariance: (6, 6) of (linear, angular), as that of an Estimate.
+    """
+
+    twist: Twist
+    covariance: NDArray[np.float64]
+
+
 def covariance_at_speed(covariance: NDArray[np.float64], speed: float) -> NDArray[np.float64]:
     """Scale the (6, 6) covariance of (direction, angular) to a speed (m/s) that is known exactly.
 
@@ -211,28 +223,6 @@ def covariance_in_frame(
     if covariance[0, 0] < 0:
         rotated[:3], rotated[:, :3] = covariance[:3], covariance[:, :3]
     return rotated
-
-
-def grid_times(t_start: int, t_end: int, rate: float, after: int) -> list[int]:
-    """List the multiples of 1 / rate (Hz) in [t_start, t_end) that lie after a time, in ns.
-
-    The grid is the same for all windows, so that their samples join without a gap or an overlap.
-    Of more than 10 000 times the last ones are returned.
-    """
-    period = max(1, round(NS_PER_S / rate))
-    first = -(-max(t_start, after + 1) // period) * period
-    return list(range(first, t_end, period)[-_MOST_SAMPLES:])
-
-
-def sample(estimate: Estimate, times: Sequence[int]) -> list[Twist]:
-    """Evaluate an estimate's spline at times (ns), leaving out those before its window."""
-    motion = estimate.motion
-    if motion is None:
-        return []
-    times = [t for t in times if t >= estimate.t_start]
-    still = np.zeros(3)
-    observable = estimate.translation_observable
-    return [Twist(t, motion.linear(t) if observable else still, motion.angular(t)) for t in times]
 
 
 def at_middle(estimate: Estimate) -> Twist:

@@ -96,6 +96,13 @@ class Window:
         events = self.events[int(np.searchsorted(self.events.t, t)) :]
         return replace(self, t_start=t, events=events)
 
+    def thinned(self, most: int) -> "Window":
+        """Return the window with at most so many of its events, evenly chosen in their order."""
+        count = len(self.events)
+        if count <= most:
+            return self
+        return replace(self, events=self.events[np.arange(most) * count // most])
+
     def with_gyro(self, readings: GyroReadings) -> "Window":
         """Return the window with those of a gyro's readings that cover it."""
         return replace(self, gyro=readings.covering(self.t_start, self.t_end))
@@ -157,6 +164,11 @@ class WindowPolicy:
                 f"{self.count_stride} with windows of {self.count} events leaves gaps",
                 "give a stride of at most window.count",
             )
+
+
+# The slices that the motion of now is estimated from (core.present_motion): length and events.
+SLICE_MS = 60.0
+SLICE_EVENTS = 16_000
 
 
 class TimeJumpError(Exception):

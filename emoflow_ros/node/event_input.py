@@ -1,4 +1,4 @@
-"""From serialised event messages to windows; messages that cannot be used are left out here."""
+"""From serialised event messages to windows and slices; unusable messages are left out here."""
 
 import time
 from collections.abc import Callable
@@ -8,6 +8,7 @@ from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import (
     NS_PER_MS,
     NS_PER_S,
+    SLICE_EVENTS,
     Events,
     TimeJumpError,
     Window,
@@ -32,6 +33,7 @@ class EventInput:
     Args:
         ros_type: as in `dvs_msgs/msg/EventArray`.
         policy: how windows are cut.
+        slices: how slices of the newest events are cut; None cuts none.
         timestamps: which time the output is stamped with.
         frame_id: the camera's frame; empty takes that of the messages.
         statistics: counts what comes and what is lost.
@@ -50,6 +52,7 @@ class EventInput:
         self,
         ros_type: str,
         policy: WindowPolicy,
+        slices: WindowPolicy | None = None,
         *,
         timestamps: Timestamps,
         frame_id: str,
@@ -65,6 +68,7 @@ class EventInput:
         self._last: int | None = None
         self._decoder = make_decoder(ros_type, "cdr")
         self._slicer = WindowSlicer(policy)
+        self._slices = WindowSlicer(slices) if slices else None
         self._frame_id = frame_id
         self._statistics = statistics
         self._warn = warn
@@ -78,7 +82,7 @@ class EventInput:
     @camera.setter
     def camera(self, camera: Camera | None) -> None:
         if camera and self.size not in (None, camera.size):
-            self._slicer.reset()  # no window holds the events of two sensors
+            self._reset_slicers()  # no window holds the events of two sensors
         self._camera = camera
 
     @property
@@ -97,7 +101,7 @@ class EventInput:
             self._slicer = WindowSlicer(policy)
 
     def push(self, data: bytes) -> list[Task]:
-        """Take one serialised message and return the windows that it completes."""
+        """Take one serialised message and return the windows and slices that it completes."""
         message = self._decode(data)
         if message is not None and self._has_jumped(message):
             self._size = None  # another recording may be that of another sensor
@@ -112,13 +116,16 @@ class EventInput:
         self._statistics.add_events(0 if windows is None else len(events))
         if windows is None:
             return []
+        slices = self._slices.push(events) if self._slices else []
         self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
         self._statistics.counts["windows"] += len(windows)
         frame_id = self._frame_id or message.frame_id
+        middles = [((w.t_start + w.t_end) // 2, w, False) for w in windows]
+        ends = [(w.t_end, w.thinned(SLICE_EVENTS), True) for w in slices[-1:]]
         return [
-            Task(w, self.epoch, self._clock.offset((w.t_start + w.t_end) // 2), frame_id, received)
-            for w in windows
+            Task(w, self.epoch, self._clock.offset(t), frame_id, received, is_slice)
+            for t, w, is_slice in middles + ends
         ]
 
     def _decode(self, data: bytes) -> EventMessage | None:
@@ -155,7 +162,12 @@ class EventInput:
         self._stamp = self._last = None
         self._clock.reset()
         self._decoder.reset()
+        self._reset_slicers()
+
+    def _reset_slicers(self) -> None:
         self._slicer.reset()
+        if self._slices:
+            self._slices.reset()
 
     def _inside(self, message: EventMessage) -> Events:
         """Return the message's events that lie on the sensor."""

@@ -142,8 +142,8 @@ class ImuInput:
         return found
 
     def forget(self) -> int:
-        """Forget the windows that wait; return how many."""
-        count = len(self._waiting)
+        """Forget what waits; return how many windows that were."""
+        count = sum(not task.is_slice for task in self._waiting)
         self._waiting.clear()
         return count
 

@@ -20,7 +20,7 @@ from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.imu_input import ImuInput, MountingError
-from emoflow_ros.node.target_frame import NoTransformError, TfFrame
+from emoflow_ros.node.target_frame import LATEST, NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
@@ -128,7 +128,7 @@ class ImuSource:
         if self._tf is None:
             return self._config.matrix()
         try:
-            return self._tf.between(optical_frame, imu_frame, 0)
+            return self._tf.between(optical_frame, imu_frame, LATEST)
         except NoTransformError as error:
             raise MountingError(str(error)) from None
 

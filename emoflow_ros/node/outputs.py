@@ -1,6 +1,7 @@
 """What is published of a window: its status and pictures, and its twists by `twist_output`."""
 
 import array
+import contextlib
 from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
@@ -20,7 +21,7 @@ from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.target_frame import NoTransformError
-from emoflow_ros.node.tasks import Picture, Result, Task, Wishes
+from emoflow_ros.node.tasks import Picture, Present, Result, Task, Wishes
 from emoflow_ros.node.twist_output import Scale, TwistOutput, make_publisher, to_header
 
 _ENCODINGS = {Picture.FLOW: "32FC2", Picture.COLOR: "rgb8", Picture.EVENTS: "mono8"}
@@ -44,18 +45,25 @@ class Outputs:
         options: what to publish.
         statistics: told while twists are not what was asked for.
         made: gets the calls that take the topics away.
+        present: whether motions of now will come.
 
     Raises:
         InputError: the options need a package that is not installed.
     """
 
     def __init__(
-        self, node: LifecycleNode, options: NodeOptions, statistics: Statistics, made: ExitStack
+        self,
+        node: LifecycleNode,
+        options: NodeOptions,
+        statistics: Statistics,
+        made: ExitStack,
+        *,
+        present: bool = False,
     ) -> None:
         self._node = node
         self._options = options.output
         self._statistics = statistics
-        self._twists = TwistOutput(node, options.output, made)
+        self._twists = TwistOutput(node, options.output, made, present=present)
         self._scale = Scale(node, options.scale)
         made.callback(self._scale.close)
         self._status = make_publisher(node, DiagnosticStatus, "egomotion/status", made)
@@ -79,7 +87,6 @@ class Outputs:
             flow_color_max=self._options.flow_color_max,
             flow_stride=self._options.flow_stride,
             tracks=self._options.tracks,
-            twist_rate=self._options.twist_rate,
         )
 
     def publish(self, result: Result) -> None:
@@ -97,6 +104,13 @@ class Outputs:
                 self._statistics.set_problem(part, Level.WARN, problem)
         found = [problem for problem in problems.values() if problem]
         self._publish_status(judge_result(result, self._now(), scaling.source, found))
+
+    def publish_present(self, present: Present) -> None:
+        """Publish the motion of now."""
+        stamp = present.task.to_ros(present.found.twist.t)
+        factor = self._scale.at(stamp).factor
+        with contextlib.suppress(NoTransformError):  # the next window's status will say so
+            self._twists.publish_present(present, factor)
 
     def publish_dropped(self, task: Task, reason: str) -> None:
         """Publish the status of a window that was dropped for this reason."""

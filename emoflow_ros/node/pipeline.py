@@ -20,7 +20,7 @@ from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task
+from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Result, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _THROTTLE_S = 5.0
@@ -94,7 +94,7 @@ class Pipeline:
         made.callback(self._supervisor.stop)
         if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
             self._supervisor.check(settings.config)
-        self._outputs = Outputs(node, options, self.statistics, made)
+        self._outputs = Outputs(node, options, self.statistics, made, present=bool(settings.slices))
         imu = settings.config.imu
         self.imu: ImuSource | None = None
         if imu.use != "off":
@@ -146,6 +146,7 @@ class Pipeline:
         self._input = EventInput(
             topic.type,
             settings.config.window,
+            settings.slices,
             timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,
             statistics=self.statistics,
@@ -207,6 +208,9 @@ class Pipeline:
                         if self.imu is not None:
                             self.imu.judge(result.estimate)
                         self._outputs.publish(result)
+                case Present() as present:
+                    if present.task.epoch == self._epoch:
+                        self._outputs.publish_present(present)
                 case Loss() as loss:
                     self._report(loss)
                 case Notice(reason):
@@ -224,10 +228,15 @@ class Pipeline:
         return self.statistics.report(self._settings.node.input.silence_s, self._supervisor.pid)
 
     def _hand_on(self, tasks: list[Task]) -> None:
-        """Put windows into the worker's queue, or let them wait for a calibration."""
+        """Put tasks into the worker's queues, or let windows wait for a calibration."""
+        slices = [task for task in tasks if task.is_slice]
+        tasks = [task for task in tasks if not task.is_slice]
         if self._camera is None:
             for task in tasks:
                 self._wait(task)
+            return
+        self._supervisor.slices.put(slices)
+        if not tasks:
             return
         self.is_topic_used = True
         config, wishes = self._settings.config, self._outputs.wishes
@@ -248,6 +257,7 @@ class Pipeline:
         self._outputs.publish_dropped(task, reason)
 
     def _forget_waiting(self) -> None:
+        self._supervisor.slices.clear()
         forgotten = len(self._waiting) + self._supervisor.queue.clear()
         forgotten += self.imu.forget() if self.imu is not None else 0
         self._waiting.clear()

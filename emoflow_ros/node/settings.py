@@ -16,6 +16,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config
+from emoflow_ros.core.events import SLICE_MS, WindowPolicy
 from emoflow_ros.core.options import (
     OptionInfo,
     option,
@@ -111,9 +112,9 @@ class OutputOptions:
         maximum=64,
     )
     twist_rate: float = option(
-        0.0,
-        "twists per second on `egomotion/twist`, from the spline inside the windows; 0 gives one "
-        "per window, at its middle",
+        60.0,
+        "twists per second on `egomotion/twist`, each of the newest event; 0 gives one per window, "
+        "at its middle",
         unit="Hz",
         minimum=0.0,
         maximum=1000.0,
@@ -208,6 +209,14 @@ class Settings:
 
     node: NodeOptions
     config: Config
+
+    @property
+    def slices(self) -> WindowPolicy | None:
+        """How slices of the newest events are cut for the motion of now; None if not wanted."""
+        rate = self.node.output.twist_rate
+        if rate == 0 or self.config.method != "lattice":
+            return None
+        return WindowPolicy(duration_ms=SLICE_MS, stride_ms=1e3 / rate)
 
     def changed(self, values: Mapping[str, Any]) -> "Settings":
         """Return a copy with the parameters of these names changed.

@@ -12,21 +12,17 @@ from typing import Any
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import grid_times
-from emoflow_ros.core.events import Window
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.tasks import (
-    Arrays,
-    DropOldestQueue,
-    Job,
-    Loss,
-    Notice,
-    Outcome,
-    Task,
-    unpack,
+from emoflow_ros.node.channel import unpack
+from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Job, Loss, Notice, Outcome, Task
+from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
+from emoflow_ros.node.worker_process import (
+    SliceFeed,
+    WorkerDiedError,
+    WorkerProcess,
+    window_request,
 )
-from emoflow_ros.node.worker import WARM_UP_CAMERA, WorkerDiedError, WorkerProcess, serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 
@@ -80,12 +76,17 @@ class Supervisor:
         self._context = multiprocessing.get_context("forkserver")
         # The factory imports its estimators late. That of the default profile is loaded beforehand.
         self._context.set_forkserver_preload(
-            [factory.partition(":")[0], "emoflow_ros.core.lattice_estimator", serve.__module__]
+            [
+                factory.partition(":")[0],
+                "emoflow_ros.core.lattice_estimator",
+                "emoflow_ros.core.present_motion",
+                serve.__module__,
+            ]
         )
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
         self._task: Task | None = None
-        self._last_twist = -1
+        self._feed = SliceFeed(self._ready_worker, timeout_s, self._tell)
         self._worker: WorkerProcess | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
@@ -93,6 +94,12 @@ class Supervisor:
     def start(self) -> None:
         """Start the thread, which starts the worker; `ready` is set when that is warm."""
         self._thread.start()
+        self._feed.start()
+
+    @property
+    def slices(self) -> DropOldestQueue[Task]:
+        """Where slices are put; the next one replaces one that waits."""
+        return self._feed.queue
 
     def check(self, config: Config) -> None:
         """Wait for a worker that can estimate with this configuration; call it before `start`.
@@ -125,6 +132,7 @@ class Supervisor:
         self._kill()
         if self._thread.is_alive():
             self._thread.join(timeout=0.5)
+        self._feed.stop()
         if not self._thread.is_alive():
             self._end_worker()
 
@@ -168,20 +176,9 @@ class Supervisor:
             self._configure(job.camera, job.config)
         task, window = job.task, job.task.window
         cold = task.epoch != self._epoch
-        if cold:
-            self._last_twist = -1
         self._epoch = task.epoch
-        header, arrays = self._request(
-            {
-                "kind": "window",
-                "t_start": window.t_start,
-                "t_end": window.t_end,
-                "cold": cold,
-                "wishes": asdict(job.wishes),
-                "times": self._twist_times(window, job.wishes.twist_rate),
-            },
-            _arrays(window),
-        )
+        what, events = window_request(window)
+        header, arrays = self._request(what | {"cold": cold, "wishes": asdict(job.wishes)}, events)
         if header.get("fatal"):
             self._fail_over(header)
             raise WorkerDiedError(f"a window failed: {header['error']}")
@@ -190,16 +187,8 @@ class Supervisor:
             outcome = Loss(f"a window failed: {header['error']}", worker=False, task=task)
         else:
             outcome = unpack(task, header, arrays)
-            if outcome.twists:
-                self._last_twist = outcome.twists[-1].t
         self._task = None
         self._tell(outcome)
-
-    def _twist_times(self, window: Window, rate: float) -> list[int] | None:
-        """Choose the times of a window's twists: None is the middle."""
-        if rate == 0:
-            return None
-        return grid_times(window.t_start, window.t_end, rate, self._last_twist)
 
     def _configure(self, camera: Camera, config: Config) -> None:
         used = replace_options(config, {"estimator.device": "cpu"}) if self._on_cpu else config
@@ -262,6 +251,9 @@ class Supervisor:
         self.outcomes.put(outcome)
         self._wake()
 
+    def _ready_worker(self) -> WorkerProcess | None:
+        return self._worker if self._configured is not None else None
+
     def _kill(self) -> None:
         worker = self._worker
         if worker is not None:
@@ -271,11 +263,3 @@ class Supervisor:
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.end()
-
-
-def _arrays(window: Window) -> Arrays:
-    """Return the columns of a window's events and of its gyro, if there is one."""
-    arrays = {name: getattr(window.events, name) for name in ("x", "y", "t", "p")}
-    if window.gyro is not None:
-        arrays |= {"gyro_t": window.gyro.t, "gyro_w": window.gyro.w}
-    return arrays

@@ -13,6 +13,8 @@ from emoflow_ros.node.settings import OutputOptions
 
 type Matrix = NDArray[np.float64]
 
+LATEST = 0  # as a stamp: the latest rotation that is known
+
 
 class NoTransformError(Exception):
     """The rotation into the frame is not known at this time; the text says why."""
@@ -126,7 +128,7 @@ class TfFrame:
         return self.between(self._name, optical_frame, stamp)
 
     def between(self, target: str, source: str, stamp: int) -> Matrix:
-        """Rotation (3, 3) from one frame into another, at ROS time in ns; 0 is the latest.
+        """Rotation (3, 3) from one frame into another, at ROS time in ns or LATEST.
 
         Raises:
             NoTransformError: it is not known.

@@ -1,30 +1,18 @@
-"""What goes to the worker and what comes back.
+"""What goes to the worker and what comes back: tasks, their outcomes, the queue of tasks."""
 
-These are the tasks and their outcomes, the queue in which tasks wait, and the channel between the
-two processes. Only plain data crosses the channel: a JSON header and arrays, no pickled objects.
-"""
-
-import json
-import math
-import os
-import socket
-import struct
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
-from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status, Twist
+from emoflow_ros.core.estimate import Estimate, PresentTwist
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 
 type Arrays = dict[str, NDArray[Any]]
 
@@ -40,7 +28,7 @@ class Picture(StrEnum):
 
 @dataclass(frozen=True)
 class Task:
-    """A window on its way through the node.
+    """A window on its way through the node, or a slice of the newest events.
 
     Attributes:
         window: what to estimate.
@@ -48,6 +36,7 @@ class Task:
         time_offset: ROS time minus event time, ns.
         frame_id: the camera's optical frame.
         received: monotonic time in s at which the window was complete.
+        is_slice: whether only the motion at its end is wanted (core.present_motion).
     """
 
     window: Window
@@ -55,6 +44,7 @@ class Task:
     time_offset: int
     frame_id: str
     received: float
+    is_slice: bool = False
 
     @property
     def stamp(self) -> int:
@@ -75,14 +65,12 @@ class Wishes:
         flow_color_max: flow in full colour, px/s; 0 takes the picture's 99th percentile.
         flow_stride: 2 keeps every second pixel and row of the flow's picture, 1 all.
         tracks: number of points that the picture of tracks follows.
-        twist_rate: twists per second of event time; 0: one per window.
     """
 
     pictures: tuple[str, ...] = ()
     flow_color_max: float = 0.0
     flow_stride: int = 1
     tracks: int = 1
-    twist_rate: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -102,19 +90,30 @@ class Result:
     Attributes:
         task: what was asked.
         estimate: `flow` and `motion` are None.
-        twists: those wished for, in order of time; none unless the status is OK.
         pictures: those wished for, by name; none unless the status is OK.
     """
 
     task: Task
     estimate: Estimate
-    twists: tuple[Twist, ...] = ()
     pictures: Arrays = field(default_factory=dict)
 
     @property
     def stamp(self) -> int:
         """ROS time that the estimate's values hold at, ns."""
         return self.task.to_ros(self.estimate.t)
+
+
+@dataclass(frozen=True)
+class Present:
+    """The answer to a slice.
+
+    Attributes:
+        task: what was asked.
+        found: the motion at the slice's end.
+    """
+
+    task: Task
+    found: PresentTwist
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ class Notice:
     reason: str
 
 
-type Outcome = Result | Loss | Notice
+type Outcome = Result | Present | Loss | Notice
 
 
 class DropOldestQueue[T]:
@@ -183,112 +182,3 @@ class DropOldestQueue[T]:
             count = len(self._items)
             self._items.clear()
         return count
-
-
-class Channel:
-    """One end of a connection between two processes. Not safe for several threads.
-
-    Args:
-        connection: of `multiprocessing.Pipe`, duplex.
-        stall_s: the other end may stop for this long within a message; None: for ever.
-    """
-
-    def __init__(self, connection: Connection, stall_s: float | None = None) -> None:
-        self._connection = connection
-        if stall_s is not None:
-            _bound_transfers(connection, stall_s)
-
-    def send(self, header: Mapping[str, Any], arrays: Arrays) -> None:
-        """Send a message.
-
-        Raises:
-            TimeoutError: the other end does not read.
-            OSError: the other end is gone.
-        """
-        layout = [(name, a.dtype.str, a.shape) for name, a in arrays.items()]
-        try:
-            self._connection.send_bytes(json.dumps([header, layout]).encode())
-            for array in arrays.values():
-                self._connection.send_bytes(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
-        except BlockingIOError:
-            raise TimeoutError("a message is not read") from None
-
-    def receive(self, timeout_s: float | None = None) -> tuple[dict[str, Any], Arrays]:
-        """Wait for a message. Its arrays are writable and belong to the caller.
-
-        Args:
-            timeout_s: how long to wait for its start; None: for ever.
-
-        Raises:
-            TimeoutError: no message, or no more of it.
-            EOFError, OSError: the other end is gone.
-        """
-        if timeout_s is not None and not self._connection.poll(timeout_s):
-            raise TimeoutError(f"no message in {timeout_s:g} s")
-        try:
-            return self._receive()
-        except BlockingIOError:
-            raise TimeoutError("a message is not finished") from None
-
-    def _receive(self) -> tuple[dict[str, Any], Arrays]:
-        header, layout = json.loads(self._connection.recv_bytes())
-        arrays: Arrays = {}
-        for name, dtype, shape in layout:
-            array = np.empty(shape, dtype)
-            self._connection.recv_bytes_into(array.reshape(-1).view(np.uint8))
-            arrays[name] = array
-        return header, arrays
-
-    def close(self) -> None:
-        """Close this end."""
-        self._connection.close()
-
-
-def _bound_transfers(connection: Connection, seconds: float) -> None:
-    """Let every read and write of a connection, which is a pair of sockets, end after a time."""
-    fraction, whole = math.modf(seconds)
-    timeval = struct.pack("@ll", int(whole), round(fraction * 1e6))
-    with socket.socket(fileno=os.dup(connection.fileno())) as end:
-        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
-            end.setsockopt(socket.SOL_SOCKET, option, timeval)
-
-
-def pack(estimate: Estimate, twists: list[Twist]) -> tuple[dict[str, Any], Arrays]:
-    """Turn an estimate, without its samplers, and its twists into plain data."""
-    header = {
-        "t_start": estimate.t_start,
-        "t_end": estimate.t_end,
-        "t": estimate.t,
-        "status": estimate.status,
-        "model": estimate.model,
-        "quality": asdict(estimate.quality),
-        "gyro": [estimate.gyro.state, estimate.gyro.reason],
-        "times": [twist.t for twist in twists],
-    }
-    arrays: Arrays = {
-        "linear": np.asarray(estimate.linear, np.float64),
-        "angular": np.asarray(estimate.angular, np.float64),
-        "covariance": np.asarray(estimate.covariance, np.float64),
-        "twists": np.array([(*w.linear, *w.angular) for w in twists], np.float64).reshape(-1, 6),
-    }
-    return header, arrays
-
-
-def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
-    """Build the result of a task from its answer; arrays that `pack` does not make are pictures."""
-    state, reason = header["gyro"]
-    estimate = Estimate(
-        t_start=header["t_start"],
-        t_end=header["t_end"],
-        t=header["t"],
-        status=Status(header["status"]),
-        model=MotionModel(header["model"]),
-        quality=Quality(**header["quality"]),
-        gyro=GyroStatus(GyroState(state), reason),
-        linear=arrays.pop("linear"),
-        angular=arrays.pop("angular"),
-        covariance=arrays.pop("covariance"),
-    )
-    rows = zip(header["times"], arrays.pop("twists"), strict=True)
-    twists = tuple(Twist(t, row[:3], row[3:]) for t, row in rows)
-    return Result(task, estimate, twists, pictures=arrays)

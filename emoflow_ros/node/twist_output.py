@@ -22,6 +22,7 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
 from emoflow_ros.core.estimate import (
+    PresentTwist,
     SpeedLog,
     Twist,
     at_middle,
@@ -31,8 +32,8 @@ from emoflow_ros.core.estimate import (
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import OutputOptions, ScaleOptions
-from emoflow_ros.node.target_frame import Matrix, make_target_frame
-from emoflow_ros.node.tasks import Result
+from emoflow_ros.node.target_frame import LATEST, Matrix, make_target_frame
+from emoflow_ros.node.tasks import Present, Result, Task
 from emoflow_ros.node.topic_search import import_message_type
 
 # Reads the velocity from each type of message: a vector or a number, in m/s.
@@ -54,45 +55,70 @@ class TwistOutput:
         node: to publish with.
         options: in which frame.
         made: gets the calls that take the topics away.
+        present: whether motions of now will come; else `egomotion/twist` carries the windows'.
 
     Raises:
         InputError: tf is asked for and not installed.
     """
 
-    def __init__(self, node: LifecycleNode, options: OutputOptions, made: ExitStack) -> None:
+    def __init__(
+        self, node: LifecycleNode, options: OutputOptions, made: ExitStack, *, present: bool
+    ) -> None:
         self._frame = make_target_frame(node, options)
         made.callback(self._frame.close)
         self._last = (-1, 0)  # epoch and stamp
         self._twist = make_publisher(node, TwistStamped, "egomotion/twist", made)
-        self._with_covariance = make_publisher(
+        self._of_windows = make_publisher(
             node, TwistWithCovarianceStamped, "egomotion/twist_with_covariance", made
+        )
+        self._of_now = (
+            make_publisher(node, TwistWithCovarianceStamped, "egomotion/twist_now", made)
+            if present
+            else None
         )
 
     def publish(self, result: Result, factor: float) -> None:
-        """Publish a window's twists, their linear part times this factor.
+        """Publish a window's twist, its linear part times this factor.
 
         Raises:
             NoTransformError: the rotation into the frame is not known at the window's time.
         """
         rotation = self._frame.rotation(result.task.frame_id, result.stamp)
-        for twist in result.twists:
-            self._publish_increasing(result, twist.at_speed(factor).in_frame(rotation))
-        self._publish_with_covariance(result, factor, rotation)
+        found = PresentTwist(at_middle(result.estimate), result.estimate.covariance)
+        message = self._to_message(result.task, result.stamp, found, factor, rotation)
+        if self._of_now is None:
+            self._publish_increasing(result.task, message)
+        self._of_windows.publish(message)
 
-    def _publish_increasing(self, result: Result, twist: Twist) -> None:
-        task = result.task
-        stamp = task.to_ros(twist.t)
-        if (task.epoch, stamp) > self._last:
-            self._last = (task.epoch, stamp)
-            header = to_header(stamp, self._frame.name(task.frame_id))
-            self._twist.publish(to_twist(twist, header))
+    def publish_present(self, present: Present, factor: float) -> None:
+        """Publish the motion of now, its linear part times this factor.
 
-    def _publish_with_covariance(self, result: Result, factor: float, rotation: Matrix) -> None:
-        middle = at_middle(result.estimate).at_speed(factor).in_frame(rotation)
-        covariance = covariance_at_speed(result.estimate.covariance, factor)
+        Raises:
+            NoTransformError: the rotation into the frame is not known.
+        """
+        assert self._of_now is not None
+        task, found = present.task, present.found
+        rotation = self._frame.rotation(task.frame_id, LATEST)  # tf comes later than events
+        message = self._to_message(task, task.to_ros(found.twist.t), found, factor, rotation)
+        if self._publish_increasing(task, message):
+            self._of_now.publish(message)
+
+    def _publish_increasing(self, task: Task, message: TwistWithCovarianceStamped) -> bool:
+        stamp = (task.epoch, to_ns(message.header.stamp))
+        if stamp <= self._last:
+            return False
+        self._last = stamp
+        self._twist.publish(TwistStamped(header=message.header, twist=message.twist.twist))
+        return True
+
+    def _to_message(
+        self, task: Task, stamp: int, found: PresentTwist, factor: float, rotation: Matrix
+    ) -> TwistWithCovarianceStamped:
+        twist = found.twist.at_speed(factor).in_frame(rotation)
+        covariance = covariance_at_speed(found.covariance, factor)
         covariance = covariance_in_frame(covariance, rotation)
-        header = to_header(result.stamp, self._frame.name(result.task.frame_id))
-        self._with_covariance.publish(to_twist_with_covariance(middle, covariance, header))
+        header = to_header(stamp, self._frame.name(task.frame_id))
+        return to_twist_with_covariance(twist, covariance, header)
 
 
 @dataclass(frozen=True)
@@ -233,9 +259,9 @@ def to_header(stamp: int, frame_id: str) -> Header:
     return Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
 
 
-def to_twist(twist: Twist, header: Header) -> TwistStamped:
-    """Build the twist; the angular velocity is in rad/s."""
-    return TwistStamped(header=header, twist=_twist(twist))
+def to_ns(stamp: Time) -> int:
+    """ROS time in ns."""
+    return stamp.sec * NS_PER_S + stamp.nanosec
 
 
 def to_twist_with_covariance(
@@ -261,9 +287,8 @@ def to_speed(message: Any, ros_type: str) -> tuple[int | None, float]:
     velocity = SPEED_TYPES[ros_type](message)
     if isinstance(velocity, float):
         return None, abs(velocity)
-    stamp = message.header.stamp
     speed = math.hypot(velocity.x, velocity.y, velocity.z)
-    return stamp.sec * NS_PER_S + stamp.nanosec or None, speed
+    return to_ns(message.header.stamp) or None, speed
 
 
 def _twist(twist: Twist) -> msg.Twist:

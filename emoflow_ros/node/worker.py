@@ -1,26 +1,28 @@
-"""The worker process, which alone imports the estimators, and the node's handle of it.
+"""What runs in the worker process, which alone imports the estimators.
 
-The worker answers one request at a time, `warm_up`, `configure` or `window`, over a `Channel`. It
-ends when the node's end of the channel closes.
+The worker answers one request at a time, `warm_up`, `configure` or `window`, over a `Channel`. Over
+another one a thread of its own answers slices while a window is estimated. The worker ends when the
+node's end of the first channel closes.
 """
 
-import contextlib
 import importlib
 import signal
+import sys
+import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status, at_middle, sample
+from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.products import (
     Tracker,
     Tracks,
@@ -29,7 +31,11 @@ from emoflow_ros.core.products import (
     trails_at_unit_depth,
 )
 from emoflow_ros.errors import InputError, keep_traceback
-from emoflow_ros.node.tasks import Arrays, Channel, Picture, Wishes, pack
+from emoflow_ros.node.channel import Channel, pack, pack_present
+from emoflow_ros.node.tasks import Arrays, Picture, Wishes
+
+if TYPE_CHECKING:
+    from emoflow_ros.core.present_motion import PresentMotion
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
@@ -37,103 +43,35 @@ WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
 _WARM_UP_EVENTS = 20_000
 _WARM_UP_SPEED = 200  # px/s
+# How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
+_SWITCH_S = 0.001
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast
 
 
-class WorkerDiedError(Exception):
-    """The worker ended, or was ended, before it answered."""
-
-
-class WorkerProcess:
-    """A worker, started; one thread uses it, any thread may kill it.
-
-    Args:
-        context: how processes are started.
-        factory: `module:function` that makes the estimator.
-        stall_s: time for a transfer that has begun.
-
-    Attributes:
-        pid: its process id.
-
-    Raises:
-        WorkerDiedError: it cannot be started.
-    """
-
-    def __init__(self, context: ForkServerContext, factory: str, stall_s: float) -> None:
-        mine, its = context.Pipe()
-        self._process = context.Process(
-            target=serve, args=(its, factory), name="estimator_worker", daemon=True
-        )
-        try:
-            self._process.start()
-        except (OSError, EOFError) as error:
-            mine.close()
-            raise WorkerDiedError(f"the worker cannot be started ({error})") from None
-        finally:
-            its.close()
-        self.pid: int | None = self._process.pid
-        self._channel = Channel(mine, stall_s)
-
-    def request(
-        self, header: Mapping[str, Any], arrays: Arrays, limit: float
-    ) -> tuple[dict[str, Any], Arrays]:
-        """Send a request and wait for the answer, for `limit` seconds at most.
-
-        Raises:
-            WorkerDiedError: there is none in that time.
-        """
-        try:
-            self._channel.send(header, arrays)
-            return self._channel.receive(limit)
-        except TimeoutError:
-            reason = f"the worker gave no answer in {limit:g} s and was ended"
-            raise WorkerDiedError(reason) from None
-        except (EOFError, OSError):
-            raise WorkerDiedError(f"the worker died ({self._exit_reason()})") from None
-
-    def check(self) -> None:
-        """Notice a death between two requests.
-
-        Raises:
-            WorkerDiedError: it is dead.
-        """
-        if not self._process.is_alive():
-            raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
-
-    def kill(self) -> None:
-        """End it at once. Any thread may call this at any time."""
-        with contextlib.suppress(ValueError, OSError):
-            self._process.kill()
-
-    def end(self) -> None:
-        """End it, and close its files now rather than when the garbage collector does."""
-        self.kill()
-        self._channel.close()
-        self._process.join(1.0)
-        with contextlib.suppress(ValueError):  # it has not ended yet
-            self._process.close()
-
-    def _exit_reason(self) -> str:
-        self._process.join(1.0)
-        code = self._process.exitcode
-        return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
-
-
-def serve(connection: Connection, factory: str) -> None:
+def serve(connection: Connection, slices: Connection, factory: str) -> None:
     """Run the worker until the connection closes.
 
     Args:
-        connection: to the node.
+        connection: to the node, for everything but slices.
+        slices: to the node.
         factory: `module:function` that makes the estimator from a camera and a Config.
     """
     # A terminal sends Ctrl-C to all of its processes; the node decides when its worker ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.setswitchinterval(_SWITCH_S)
     module, _, function = factory.partition(":")
     worker = _Worker(getattr(importlib.import_module(module), function))
-    channel = Channel(connection)
+    beside = (Channel(slices), worker.answer_slice)
+    threading.Thread(target=_answer_all, args=beside, name="slices", daemon=True).start()
+    _answer_all(Channel(connection), worker.answer)
+
+
+def _answer_all(
+    channel: Channel, answer: Callable[[dict[str, Any], Arrays], tuple[dict[str, Any], Arrays]]
+) -> None:
     try:
         while True:
-            channel.send(*worker.answer(*channel.receive()))
+            channel.send(*answer(*channel.receive()))
     except (EOFError, OSError):
         return
 
@@ -143,6 +81,9 @@ class _Worker:
         self._make_estimator = make_estimator
         self._estimator: Estimator | None = None
         self._painter: Painter | None = None
+        self._present: PresentMotion | None = None
+        self._last: tuple[Estimate, GyroReadings | None] | None = None  # window, with its gyro
+        self._known: tuple[Estimate, GyroReadings | None] | None = None  # of these, by `_present`
 
     def answer(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
         """Do what a request asks for; after an error, which is answered, the estimator is cold."""
@@ -159,6 +100,20 @@ class _Worker:
         except Exception as error:
             if self._estimator is not None:
                 self._estimator.reset()
+            self._last = None
+            return _describe(error), {}
+
+    def answer_slice(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
+        """Estimate the motion at the end of a slice; this is called in another thread."""
+        present, last = self._present, self._last
+        if present is None or last is None:
+            return pack_present(None)
+        try:
+            if last is not self._known:
+                present.know(*last)
+                self._known = last
+            return pack_present(present.estimate(_window(header, arrays)))
+        except Exception as error:
             return _describe(error), {}
 
     def _warm_up(self) -> dict[str, Any]:
@@ -179,6 +134,11 @@ class _Worker:
         self._painter = Painter(camera)
         config = load_config(header["config"]["profile"], header["config"])
         self._estimator = self._make_estimator(camera, config)
+        self._present = self._last = None
+        if isinstance(config.estimator, LatticeConfig):
+            from emoflow_ros.core.present_motion import PresentMotion
+
+            self._present = PresentMotion(camera, config.estimator)
         return {}
 
     def _estimate(self, header: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
@@ -186,22 +146,28 @@ class _Worker:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
-        gyro = None
-        if "gyro_t" in arrays:
-            gyro = GyroReadings(arrays.pop("gyro_t"), arrays.pop("gyro_w"))
-        window = Window(header["t_start"], header["t_end"], Events(**arrays), gyro)
+        window = _window(header, arrays)
         estimate = self._estimator.estimate(window)
-        if estimate.status is not Status.OK:
-            return pack(estimate, [])
-        window = window.since(estimate.t_start)
-        times = header["times"]
-        twists = [at_middle(estimate)] if times is None else sample(estimate, times)
-        answer, values = pack(estimate, twists)
-        if not all(np.isfinite(value).all() for value in values.values()):
+        answer, values = pack(estimate)
+        if estimate.status is Status.OK and not all(
+            np.isfinite(value).all() for value in values.values()
+        ):
             self._estimator.reset()
-            return pack(replace(estimate, status=Status.DIVERGED), [])
+            estimate = replace(estimate, status=Status.DIVERGED)
+            answer, values = pack(estimate)
+        self._last = estimate, window.gyro
+        if estimate.status is not Status.OK:
+            return answer, values
+        window = window.since(estimate.t_start)
         values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)
         return answer, values
+
+
+def _window(header: dict[str, Any], arrays: Arrays) -> Window:
+    gyro = None
+    if "gyro_t" in arrays:
+        gyro = GyroReadings(arrays.pop("gyro_t"), arrays.pop("gyro_w"))
+    return Window(header["t_start"], header["t_end"], Events(**arrays), gyro)
 
 
 class Painter:

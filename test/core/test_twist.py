@@ -1,5 +1,3 @@
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,8 +12,6 @@ from emoflow_ros.core.estimate import (
     at_middle,
     covariance_at_speed,
     covariance_in_frame,
-    grid_times,
-    sample,
 )
 
 MS = 1_000_000
@@ -40,41 +36,11 @@ def estimate(model: MotionModel) -> Estimate:
     )
 
 
-def test_grid_is_uniform_over_windows_that_join() -> None:
-    edges = [START + i * 90 * MS for i in range(6)]
-    times: list[int] = []
-    for t_start, t_end in pairwise(edges):
-        times += grid_times(t_start, t_end, 200.0, after=times[-1] if times else 0)
-    assert set(np.diff(times)) == {5 * MS}
-    assert edges[0] <= times[0] < edges[0] + 5 * MS
-    assert edges[-1] - 5 * MS <= times[-1] < edges[-1]
-
-
-def test_overlapping_windows_give_each_time_once() -> None:
-    first = grid_times(0, 90 * MS, 100.0, after=-1)
-    assert first == [10 * MS * k for k in range(9)]
-    assert grid_times(30 * MS, 120 * MS, 100.0, first[-1]) == [90 * MS, 100 * MS, 110 * MS]
-
-
-def test_times_of_one_window_are_bounded() -> None:
-    times = grid_times(0, 3600 * 1000 * MS, 1000.0, after=-1)
-    assert len(times) == 10_000
-    assert times[-1] == 3_599_999 * MS
-
-
-def test_samples_follow_the_spline() -> None:
-    twists = sample(estimate(MotionModel.FULL), [0, 25 * MS, 50 * MS])
-    assert [t.t for t in twists] == [0, 25 * MS, 50 * MS]
-    np.testing.assert_allclose([t.angular[2] for t in twists], [1.0, 1.25, 1.5])
-    np.testing.assert_allclose(twists[0].linear, [0.0, 0.6, 0.8])
+def test_middle_is_that_of_the_estimate() -> None:
     middle = at_middle(estimate(MotionModel.FULL))
     assert middle.t == 50 * MS
-    np.testing.assert_allclose(middle.angular, twists[2].angular)
-
-
-def test_samples_have_no_direction_where_it_is_not_observable() -> None:
-    [twist] = sample(estimate(MotionModel.ROTATION), [10 * MS])
-    np.testing.assert_array_equal(twist.linear, np.zeros(3))
+    np.testing.assert_allclose(middle.angular, [0.0, 0.0, 1.5])
+    np.testing.assert_allclose(middle.linear, [0.0, 0.6, 0.8])
 
 
 def test_speed_scales_the_linear_part_only() -> None:

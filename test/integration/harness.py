@@ -34,6 +34,7 @@ MS = 1_000_000
 WAIT_S = 60.0  # far more than is needed: what fails on a slow machine is not the node
 
 WAITING = "input.queue_windows:=8"
+OF_WINDOWS = "output.twist_rate:=0.0"
 _CAMERA_INFO_S = 0.2
 _DRIVER_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -225,11 +226,12 @@ class Processes:
         """Start the node as its console script does; `parameters` as in `name:=value`.
 
         Windows wait unless the parameters say otherwise: tests publish faster than a camera.
+        In the same way `egomotion/twist` carries one twist per window.
         """
         code = (
             f"import sys; from emoflow_ros.node.executable import main; sys.exit(main('{factory}'))"
         )
-        given = [part for parameter in (WAITING, *parameters)
+        given = [part for parameter in (WAITING, OF_WINDOWS, *parameters)
                  for part in ("-p", parameter)]  # fmt: skip
         return self.start(sys.executable, "-c", code, "--ros-args", *given, *arguments)
 

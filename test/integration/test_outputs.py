@@ -225,16 +225,6 @@ def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Start) -> No
     peer.spin_until(lambda: "no speed on odom" in peer.status()["message"], "the warning")
 
 
-def test_sampled_twists_are_uniform_over_windows(peer: Peer, start: Start) -> None:
-    start(output__twist_rate=500.0)
-    run_windows(peer, 1000, 1031)
-    peer.spin_until(lambda: len(peer.twists) == 15, "five twists in each of three windows")
-    assert [stamp(t) for t in peer.twists] == [(1000 + 2 * k) * MS for k in range(15)]
-    assert [t.twist.angular.x for t in peer.twists[:6]] == [0, 2 * MS, 4 * MS, 6 * MS, 8 * MS, 0]
-    peer.spin_until(lambda: len(peer.covariances) == 3, "one twist with covariance per window")
-    assert [stamp(c) for c in peer.covariances] == [1005 * MS, 1015 * MS, 1025 * MS]
-
-
 def test_speed_gives_the_linear_velocity_and_may_change(peer: Peer, start: Start) -> None:
     node = start(scale__source="parameter", scale__speed=5.0)
     run_windows(peer, 1000, 1011)
@@ -251,13 +241,13 @@ def test_speed_gives_the_linear_velocity_and_may_change(peer: Peer, start: Start
 
 
 def test_earlier_times_after_a_restart_count_anew(peer: Peer, start: Start) -> None:
-    node = start(output__twist_rate=500.0)
+    node = start()
     run_windows(peer, 3000, 3011)
-    peer.spin_until(lambda: len(peer.twists) == 5, "a window")
+    peer.spin_until(lambda: len(peer.twists) == 1, "a window")
     node.activate_again()
     run_windows(peer, 1000, 1011)
-    peer.spin_until(lambda: len(peer.twists) == 10, "an earlier window")
-    assert [stamp(t) for t in peer.twists[5:]] == [(1000 + 2 * k) * MS for k in range(5)]
+    peer.spin_until(lambda: len(peer.twists) == 2, "an earlier window")
+    assert stamp(peer.twists[1]) == 1005 * MS
     assert peer.covariances[-1].twist.twist.angular.y == 1  # the estimator started cold
 
 

@@ -12,12 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TwistWithCovarianceStamped
 from harness import Peer, Processes, children
-from shared_node import SharedNode
+from shared_node import SharedNode, Values
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.node.supervisor import FACTORY
+from emoflow_ros.node.twist_output import to_ns
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.recording_files import data_topics, write_bag
@@ -101,11 +103,55 @@ def node(real_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
     real_node.stop()
 
 
-def start(peer: Peer, node: SharedNode, processes: Processes, bag: Path) -> None:
+def start(
+    peer: Peer, node: SharedNode, processes: Processes, bag: Path, values: Values | None = None
+) -> None:
     peer.node.destroy_publisher(peer.events)
-    node.start(peer)
+    node.start(peer, values)
     peer.hear()
     processes.start(*REPLAY, str(bag), "--wait", "60", "--rate", RATE)
+
+
+def test_twists_of_now_come_beside_those_of_windows(
+    peer: Peer,
+    node: SharedNode,
+    processes: Processes,
+    recording: SimulatedRecording,
+    bag: Path,
+    expected: list[Window],
+) -> None:
+    now: list[TwistWithCovarianceStamped] = []
+    ahead: list[int] = []
+
+    def take(message: TwistWithCovarianceStamped) -> None:
+        now.append(message)
+        if peer.covariances:
+            ahead.append(to_ns(message.header.stamp) - to_ns(peer.covariances[-1].header.stamp))
+
+    topic = "/egomotion/twist_now"
+    peer.node.create_subscription(TwistWithCovarianceStamped, topic, take, 100)
+    start(peer, node, processes, bag, {"output.twist_rate": 50.0})
+    peer.spin_until(
+        lambda: peer.covariances and to_ns(peer.covariances[-1].header.stamp) == expected[-1].t,
+        "the last window",
+        60.0,
+    )
+    # Slices do not change the windows.
+    for message, window in zip(peer.covariances, expected, strict=True):
+        w = message.twist.twist.angular
+        np.testing.assert_allclose([w.x, w.y, w.z], window.angular, atol=TOLERANCE)
+    times = np.array([to_ns(message.header.stamp) for message in now])
+    assert stamps(peer) == times.tolist()
+    assert len(times) >= 10
+    assert (np.diff(times) > 0).all() and not (np.diff(times) % 20_000_000).any()
+    # A window's own twist is of its middle.
+    assert np.median(ahead) > 67_500_000
+    found = [m.twist.twist.angular for m in now]
+    errors = [
+        np.degrees(np.linalg.norm([w.x, w.y, w.z] - recording.truth.twist(t)[1]))
+        for w, t in zip(found, times.tolist(), strict=True)
+    ]
+    assert np.median(errors) < 5.0
 
 
 def test_node_publishes_what_the_estimator_finds_and_that_is_true(

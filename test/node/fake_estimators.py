@@ -74,13 +74,6 @@ class SpeedingUp:
         return np.array([0.0, 0.6, 0.8])
 
 
-class Breaking(SpeedingUp):
-    """That motion, of which nothing is known in the second half of 100 ns."""
-
-    def linear(self, t: int) -> np.ndarray:
-        return np.full(3, np.nan if t - self.t_start > 50 else 0.5)
-
-
 class Shift:
     """A flow of (1, -2) px/s, unknown in the first column of its image."""
 
@@ -155,14 +148,18 @@ class NotFinite(Recorder):
         return estimate
 
 
-class NotFiniteInPart(Recorder):
-    """Finite in the middle of a window of the bad column, but not all along it."""
+class Trackless(Recorder):
+    """Its flow cannot be followed, as the motion of now wants it."""
 
     def estimate(self, window: Window) -> Estimate:
-        estimate = super().estimate(window)
-        if (window.events.x == _POISON_X).all():
-            return replace(estimate, motion=Breaking(window.t_start))
-        return estimate
+        return replace(super().estimate(window), flow=Still())
+
+
+class Still:
+    """A flow that knows nothing."""
+
+    def tracks(self, points: np.ndarray, times: Sequence[int]) -> np.ndarray:
+        raise ValueError("no tracks")
 
 
 class Slow(Recorder):

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from emoflow_ros.node import pipeline
-from emoflow_ros.node.tasks import DropOldestQueue, Job, Outcome
+from emoflow_ros.node.tasks import DropOldestQueue, Job, Outcome, Task
 
 
 class FakeSupervisor:
@@ -20,6 +20,7 @@ class FakeSupervisor:
 
     def __init__(self, *, capacity: int, wake: Callable[[], None], **kwargs: Any) -> None:
         self.queue: DropOldestQueue[Job] = DropOldestQueue(capacity)
+        self.slices: DropOldestQueue[Task] = DropOldestQueue(1)
         self.outcomes: SimpleQueue[Outcome] = SimpleQueue()
         self.ready = threading.Event()
         self.obstacle = ""

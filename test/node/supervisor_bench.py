@@ -48,6 +48,10 @@ class Bench:
         task = Task(Window(t, t + 100, events), epoch, 0, "camera", time.monotonic())
         self.supervisor.queue.put([Job(task, self.camera, self.config, self.wishes)])
 
+    def put_slice(self, *, t_end: int) -> None:
+        window = Window(0, t_end, Events.empty())
+        self.supervisor.slices.put([Task(window, 0, 0, "camera", 0.0, is_slice=True)])
+
     def result(self) -> Result:
         outcome = self.outcomes.get(timeout=WAIT_S)
         assert isinstance(outcome, Result), outcome

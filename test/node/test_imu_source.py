@@ -21,17 +21,23 @@ from emoflow_ros.core.events import Events, Window, WindowSlicer
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.channel import pack, unpack
 from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.settings import NodeOptions, Settings
-from emoflow_ros.node.tasks import Job, Result, Task, pack, unpack
+from emoflow_ros.node.tasks import Job, Result, Task
 from emoflow_ros.node.topic_search import EventTopic
 from emoflow_ros.simulation.messages import ImuSample, MessageEncoder
 
 MS = 1_000_000
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 ENCODER = MessageEncoder(ros1=False)
-WINDOWS = {"window.duration_ms": 10.0, "window.stride_ms": 10.0, "input.queue_windows": 8}
+WINDOWS = {
+    "window.duration_ms": 10.0,
+    "window.stride_ms": 10.0,
+    "input.queue_windows": 8,
+    "output.twist_rate": 0.0,
+}
 
 
 class Bench:
@@ -175,7 +181,7 @@ def test_the_gyros_status_crosses_the_channel() -> None:
     status = GyroStatus(GyroState.REJECTED, "no readings")
     task = Task(Window(0, 1, Events.empty()), 0, 0, "camera", 0.0)
     estimate = Estimate(0, 1, 0, Status.NO_MOTION, Quality(events=1), gyro=status)
-    result = unpack(task, *pack(estimate, []))
+    result = unpack(task, *pack(estimate))
     assert result.estimate.gyro == status
 
 

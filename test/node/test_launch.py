@@ -82,7 +82,7 @@ def test_speed_is_a_scale_only_when_it_is_given(start: Start) -> None:
 
 
 def test_twist_rate_is_passed_as_a_number(start: Start) -> None:
-    assert start()[0].parameters[0]["output.twist_rate"] == 0.0
+    assert start()[0].parameters[0]["output.twist_rate"] == 60.0
     assert start(twist_rate="200")[0].parameters[0]["output.twist_rate"] == 200.0
 
 

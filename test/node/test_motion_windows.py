@@ -9,11 +9,12 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Job, Result, Task, Wishes
+from emoflow_ros.node.tasks import Job, Present, Result, Task
 
 CAMERA = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
-PERIOD = 5 * NS_PER_MS  # of the twists
 SPEEDS = np.array([150.0, 600.0])  # px/s, in the first and the last 200 ms
 CONFIG = load_config(
     overrides={
@@ -49,13 +50,11 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
     supervisor = Supervisor(
         capacity=len(windows), timeout_s=60.0, may_use_cpu=False, wake=lambda: None
     )
-    wishes = Wishes(twist_rate=NS_PER_S / PERIOD)
     for window in windows:
         task = Task(window, 0, 0, "camera", time.monotonic())
-        supervisor.queue.put([Job(task, CAMERA, CONFIG, wishes)])
+        supervisor.queue.put([Job(task, CAMERA, CONFIG)])
     supervisor.start()
     try:
-        last = -PERIOD
         for its in expected:
             result = supervisor.outcomes.get(timeout=60.0)
             assert isinstance(result, Result), result
@@ -63,9 +62,37 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
             assert (mine.t_start, mine.t_end, mine.t) == (its.t_start, its.t_end, its.t)
             for name in ("linear", "angular", "covariance"):
                 np.testing.assert_array_equal(getattr(mine, name), getattr(its, name))
-            times = [twist.t for twist in result.twists]
-            first = max(-(-its.t_start // PERIOD) * PERIOD, last + PERIOD)
-            assert times == list(range(first, its.t_end, PERIOD))
-            last = times[-1]
+    finally:
+        supervisor.stop()
+
+
+def test_the_worker_estimates_the_motion_of_now_as_it_is_estimated_without_it() -> None:
+    windows = WindowSlicer(CONFIG.window).push(moving_dots())
+    config = replace_options(CONFIG, {"estimator.max_doubt": 1.0})
+    estimator, present = make_estimator(CAMERA, config), PresentMotion(CAMERA, config.estimator)
+    estimates = [estimator.estimate(window) for window in windows]
+    present.know(estimates[-1])
+    newest = windows[-1].since(windows[-1].t_end - 60 * NS_PER_MS)
+    expected = present.estimate(newest)
+    assert expected is not None
+
+    supervisor = Supervisor(
+        capacity=len(windows), timeout_s=60.0, may_use_cpu=False, wake=lambda: None
+    )
+    slices = Task(newest, 0, 0, "camera", 0.0, is_slice=True)
+    for window in windows:
+        supervisor.queue.put([Job(Task(window, 0, 0, "camera", 0.0), CAMERA, config)])
+    supervisor.start()
+    try:
+        for _ in windows:
+            assert isinstance(supervisor.outcomes.get(timeout=60.0), Result)
+        supervisor.slices.put([slices])
+        found = supervisor.outcomes.get(timeout=60.0)
+        assert isinstance(found, Present), found
+        assert found.task is slices
+        assert found.found.twist.t == newest.t_end
+        np.testing.assert_array_equal(found.found.twist.angular, expected.twist.angular)
+        np.testing.assert_array_equal(found.found.twist.linear, expected.twist.linear)
+        np.testing.assert_array_equal(found.found.covariance, expected.covariance)
     finally:
         supervisor.stop()

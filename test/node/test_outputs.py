@@ -17,12 +17,12 @@ from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import MotionModel, Status, at_middle
+from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.outputs import Outputs, to_diagnostics, to_image, to_tracks
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
-from emoflow_ros.node.tasks import Picture, Result, Task
+from emoflow_ros.node.tasks import Picture, Present, Result, Task
 from emoflow_ros.node.twist_output import to_header
 
 MS = 1_000_000
@@ -49,7 +49,10 @@ class Bench:
         self.node = FakeNode()
         self.statistics = Statistics()
         self.made = ExitStack()
-        self.outputs = Outputs(self.node, options(**values), self.statistics, self.made)
+        present = bool(values.pop("present", False))
+        self.outputs = Outputs(
+            self.node, options(**values), self.statistics, self.made, present=present
+        )
 
     def publish(self, start_ms: int = 1000, **changes: Any) -> None:
         self.outputs.publish(result(start_ms, **changes))
@@ -73,7 +76,7 @@ def result(start_ms: int = 1000, pictures: Any = None, **changes: Any) -> Result
     window = Window(start_ms * MS, (start_ms + 10) * MS, events)
     estimate = replace(Recorder(CAMERA, Config()).estimate(window), **changes)
     task = Task(window, 0, 0, "optical", 0.0)
-    return Result(task, estimate, (at_middle(estimate),), pictures or {})
+    return Result(task, estimate, pictures or {})
 
 
 def vector(v: Any) -> list[float]:
@@ -84,7 +87,6 @@ def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Ben
     b = bench(
         output__tracks=7,
         output__flow_color_max=3.0,
-        output__twist_rate=20.0,
         output__flow_stride=4,
     )
     assert b.outputs.wishes.pictures == ()
@@ -93,7 +95,7 @@ def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Ben
         assert b.outputs.wishes.pictures == (picture,)
         b.node.publishers[picture].subscribers = 0
     wishes = b.outputs.wishes
-    assert (wishes.tracks, wishes.flow_color_max, wishes.twist_rate) == (7, 3.0, 20.0)
+    assert (wishes.tracks, wishes.flow_color_max) == (7, 3.0)
     assert wishes.flow_stride == 4
 
 
@@ -177,6 +179,30 @@ def test_twists_never_go_back(bench: Callable[..., Bench]) -> None:
         b.publish(start_ms)
     stamps = [m.header.stamp.nanosec for m in b.node.messages("egomotion/twist")]
     assert stamps == [5 * MS, 15 * MS]
+
+
+def present(t_ms: int) -> Present:
+    task = Task(Window(0, t_ms * MS, Events.empty()), 0, 5, "optical", 0.0, is_slice=True)
+    twist = Twist(t_ms * MS, np.array([0.0, 0.6, 0.8]), np.array([4.0, 1.0, 8.0]))
+    return Present(task, PresentTwist(twist, np.eye(6)))
+
+
+def test_twists_of_now_have_their_own_covariance_and_never_go_back(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench(present=True, scale__source="parameter", scale__speed=2.0)
+    for t_ms in (100, 120, 110, 130):
+        b.outputs.publish_present(present(t_ms))
+    stamps = [m.header.stamp.nanosec for m in b.node.messages("egomotion/twist")]
+    assert stamps == [100 * MS + 5, 120 * MS + 5, 130 * MS + 5]
+    now = b.node.messages("egomotion/twist_now")
+    assert [m.header.stamp.nanosec for m in now] == stamps
+    assert now[-1].twist.twist == b.last("twist").twist
+    assert vector(now[-1].twist.twist.linear) == [0.0, 1.2, 1.6]
+    np.testing.assert_array_equal(now[-1].twist.covariance, np.diag([4, 4, 4, 1, 1, 1]).ravel())
+    b.publish()
+    assert len(b.node.messages("egomotion/twist")) == 3
+    assert len(b.node.messages("egomotion/twist_with_covariance")) == 1
 
 
 def test_twists_are_withheld_without_a_transform(

@@ -18,14 +18,14 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import Status, at_middle
+from emoflow_ros.core.estimate import PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.settings import NodeOptions, Settings
-from emoflow_ros.node.tasks import Job, Loss, Result
+from emoflow_ros.node.tasks import Job, Loss, Present, Result
 from emoflow_ros.node.topic_search import EventTopic
 from emoflow_ros.simulation.messages import MessageEncoder
 
@@ -41,7 +41,7 @@ ENCODER = MessageEncoder(ros1=False)
 class Bench:
     """A pipeline that listens to /left/events, with windows of 10 ms of which two may wait."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, twist_rate: float = 0.0) -> None:
         supervisors = install_fake_supervisor(monkeypatch)
         self.node = FakeNode()
         self.made = ExitStack()
@@ -50,6 +50,7 @@ class Bench:
                 "window.duration_ms": 10.0,
                 "window.stride_ms": 10.0,
                 "input.queue_windows": 2,
+                "output.twist_rate": twist_rate,
             }
         )
         self.pipeline = Pipeline(
@@ -75,7 +76,7 @@ class Bench:
 
     def answer(self, job: Job) -> Result:
         estimate = Recorder(job.camera, job.config).estimate(job.task.window)
-        return Result(job.task, estimate, (at_middle(estimate),))
+        return Result(job.task, estimate)
 
     @property
     def said(self) -> list[str]:
@@ -205,7 +206,7 @@ def test_windows_with_too_few_events_are_not_running(bench: Bench) -> None:
     for job in bench.supervisor.jobs():
         answer = bench.answer(job)
         estimate = replace(answer.estimate, status=Status.TOO_FEW_EVENTS)
-        bench.supervisor.outcomes.put(replace(answer, estimate=estimate, twists=()))
+        bench.supervisor.outcomes.put(replace(answer, estimate=estimate))
     report = bench.pipeline.report()
     assert report.level is Level.WARN
     assert report.message.startswith("2 windows with too few events, and none with enough")
@@ -292,3 +293,27 @@ def test_camera_info_becomes_the_camera() -> None:
 def test_uncalibrated_camera_info_is_refused() -> None:
     with pytest.raises(InputError, match="focal lengths"):
         to_camera(CameraInfo(width=64, height=48))
+
+
+def test_slices_go_beside_windows_and_their_twists_are_of_this_epoch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench(monkeypatch, twist_rate=100.0)
+    bench.play(1000, 1100)
+    assert bench.supervisor.slices.get(0.0) is None  # there is no calibration
+    bench.calibrate()
+    bench.play(1100, 1151)
+    [_, *jobs] = bench.supervisor.jobs()
+    assert not any(job.task.is_slice for job in jobs)
+    task = bench.supervisor.slices.get(0.0)
+    assert task is not None and task.is_slice
+    assert (task.window.t_start, task.window.t_end) == (1090 * MS, 1150 * MS)
+    assert len(task.window.events) == 12
+    twist = Twist(task.window.t_end, np.zeros(3), np.ones(3))
+    for epoch in (task.epoch, task.epoch - 1):
+        present = Present(replace(task, epoch=epoch), PresentTwist(twist, np.eye(6)))
+        bench.supervisor.outcomes.put(present)
+    bench.pipeline.take_outcomes()
+    [message] = bench.node.messages("egomotion/twist")
+    assert message.header.stamp.nanosec == 150 * MS
+    assert bench.pipeline.statistics.counts["windows_forgotten"] == 0

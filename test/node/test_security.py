@@ -18,10 +18,10 @@ from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.events import WindowPolicy
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.channel import Channel
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Channel
 from emoflow_ros.simulation.messages import EVENT_ARRAY
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -46,24 +46,6 @@ def test_pictures_come_only_when_wished_for(bench: Callable[..., Bench]) -> None
     assert np.count_nonzero(pictures[Picture.EVENTS]) == 1
 
 
-def test_twists_of_overlapping_windows_join(bench: Callable[..., Bench]) -> None:
-    b = bench("Recorder")
-    b.put(t=1000)
-    [middle] = b.result().twists
-    assert middle.t == 1050
-    np.testing.assert_array_equal(middle.angular, [5, 1, CAMERA.width])
-    b.wishes = Wishes(twist_rate=1e9 / 40)
-    seen = []
-    for t, epoch in ((2000, 0), (2050, 0), (2000, 1)):
-        b.put(t=t, epoch=epoch)
-        seen.append([(int(w.t), int(w.angular[0])) for w in b.result().twists])
-    assert seen == [
-        [(2000, 0), (2040, 40), (2080, 80)],
-        [(2120, 70)],
-        [(2000, 0), (2040, 40), (2080, 80)],
-    ]
-
-
 def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:
     b = bench("Recorder")
     counts = []

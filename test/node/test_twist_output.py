@@ -25,7 +25,6 @@ from emoflow_ros.node.twist_output import (
     Scaling,
     to_header,
     to_speed,
-    to_twist,
     to_twist_with_covariance,
 )
 
@@ -92,9 +91,10 @@ def test_header_splits_nanoseconds() -> None:
 
 
 def test_twist_of_a_rotation_has_no_direction(rotation: Twist) -> None:
-    message = to_twist(rotation, HEADER)
-    assert (message.twist.linear.x, message.twist.linear.y, message.twist.linear.z) == (0, 0, 0)
-    assert message.twist.angular.y == -0.2
+    message = to_twist_with_covariance(rotation, np.zeros((6, 6)), HEADER)
+    linear = message.twist.twist.linear
+    assert (linear.x, linear.y, linear.z) == (0, 0, 0)
+    assert message.twist.twist.angular.y == -0.2
     assert message.header == HEADER
 
 

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 from supervisor_bench import CAMERA, WAIT_S, Bench
 
@@ -17,7 +16,8 @@ from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import supervisor
-from emoflow_ros.node.tasks import Channel, Wishes
+from emoflow_ros.node.channel import Channel
+from emoflow_ros.node.tasks import Loss
 
 ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
 
@@ -183,23 +183,11 @@ def test_estimate_that_is_not_finite_has_diverged(bench: Callable[..., Bench]) -
     b.put(x=7)
     bad = b.result()
     assert bad.estimate.status is Status.DIVERGED
-    assert bad.twists == ()
     assert bad.pictures == {}
     b.put()
     good = b.result().estimate
     assert good.status is Status.OK
     assert good.angular[1] == 1  # cold: the state with the bad values is gone
-
-
-def test_twists_that_are_not_finite_are_not_published(bench: Callable[..., Bench]) -> None:
-    b = bench("NotFiniteInPart")
-    b.wishes = Wishes(twist_rate=1e9 / 40)
-    b.put(t=1000)
-    assert np.isfinite([w.linear for w in b.result().twists]).all()
-    b.put(t=2000, x=7)
-    bad = b.result()
-    assert bad.estimate.status is Status.DIVERGED
-    assert bad.twists == ()
 
 
 def test_missing_device_falls_back_to_the_cpu_where_allowed(bench: Callable[..., Bench]) -> None:
@@ -266,3 +254,29 @@ def test_every_profile_reaches_the_worker(bench: Callable[..., Bench], profile: 
     b.config = load_config(profile, {"window.duration_ms": 70.0})
     b.put()
     assert b.result().estimate.quality.stop_reason == f"{profile} 70.0"
+
+
+def test_slice_that_fails_costs_neither_a_window_nor_the_worker(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench("Trackless")
+    b.put(t=1000)
+    b.result()
+    first = b.supervisor.pid
+    b.put_slice(t_end=1100)
+    assert b.loss() == Loss("a slice failed: ValueError: no tracks", worker=False)
+    b.put(t=2000)
+    assert b.result().estimate.angular[1] == 2  # the same estimator, still warm
+    assert b.supervisor.pid == first
+
+
+def test_worker_that_does_not_answer_a_slice_is_replaced(bench: Callable[..., Bench]) -> None:
+    b = bench("Trackless", timeout_s=1.0)
+    b.put(t=1000)
+    b.result()
+    assert b.supervisor.pid is not None
+    os.kill(b.supervisor.pid, signal.SIGSTOP)
+    b.put_slice(t_end=1100)
+    assert b.loss().reason == "the worker died (signal 9); it is started again"
+    b.put(t=2000)
+    assert b.result().estimate.angular[1] == 1

@@ -1,0 +1,239 @@
+"""The motion of now, from the newest events and the scene that the last window has shown.
+
+A window's estimate holds at its middle, and comes after its last event by the time that it takes to
+compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
+makes of it: that is six numbers, for which a short slice of events is enough. At a node with the
+window's flow u0 and inverse depth rho, both per second, the flow of now is
+
+    u = u0 + b (w - w0) + rho a (v - v0),
+
+with the matrices a and b of the motion field (core.camera_motion). The contrast of the slice's
+events and the window's estimate, carried on by a random walk or by a gyro, decide on w and v
+together.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dsbmv
+
+from emoflow_ros.core.belief import INFORMATION_EXCESS
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Status, Twist
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.preparation import WorkingImage, prepare
+from emoflow_ros.core.uncertainty import without_travel
+
+Array = NDArray[np.float64]
+
+_LONGEST_NS = 300 * NS_PER_MS  # from the last estimate's time to now
+_EVENTS = 8_000  # are enough for six numbers
+_FEWEST_EVENTS = 300
+_SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
+_STEPS = 3
+_FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
+_GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
+_EXPECTED_DRIFT = 0.5  # of the configured one: what most recordings show
+_GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and flow in px/s.
+
+    `by_motion` (nodes, 2, 6) are the flow's derivatives by w and v, `gyro` the gyro's angular
+    velocity at t, or None.
+    """
+
+    t: int
+    length_ns: int
+    motion: Array
+    covariance: Array
+    flow: Array
+    by_motion: Array
+    travels: bool
+    gyro: Array | None
+
+
+class PresentMotion:
+    """Estimates the motion of now between the estimates of windows.
+
+    It depends on the last estimate and on the slice's own events alone.
+
+    Args:
+        camera: with its lens.
+        config: of the estimator of the windows.
+    """
+
+    def __init__(self, camera: Camera, config: LatticeConfig) -> None:
+        self._config = replace(config, min_events=_FEWEST_EVENTS, max_events=_EVENTS)
+        self._image = WorkingImage.of(camera)
+        self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
+        self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
+        self._contrast = Contrast(self._lattice, _SCALE)
+        self._equations = NormalEquations(self._lattice, 0)
+        self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
+        self._scene: _Scene | None = None
+
+    def know(self, estimate: Estimate, gyro: GyroReadings | None = None) -> None:
+        """Take a window's estimate. After one that cannot be used there is no motion of now.
+
+        Args:
+            estimate: of the window.
+            gyro: its readings.
+        """
+        self._scene = None
+        if estimate.status is Status.OK and estimate.flow is not None:
+            self._scene = self._see(estimate, estimate.flow, gyro)
+
+    def estimate(self, window: Window) -> PresentTwist | None:
+        """Estimate the motion at the end of a slice of events.
+
+        Args:
+            window: the newest SLICE_MS of the events. Where fast motion has made the estimate's
+                window shorter, only so much of it is used.
+
+        Returns:
+            None without an estimate of the last 300 ms to start from, or with too few events.
+        """
+        scene = self._scene
+        if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:
+            return None
+        part = window.since(window.t_end - scene.length_ns)
+        events = prepare(part, self._image, self._config)
+        if events is None:
+            return None
+        middle = (part.t_start + part.t_end) // 2
+        turned = self._turned(scene, middle, window.gyro)
+        drift = self._drift.copy()
+        if turned is not None:
+            drift[:3] = 0.0
+        since = max(0, middle - scene.t) / NS_PER_S
+        known = scene.covariance + np.diag(drift * since)
+        predicted = np.zeros(6)
+        if turned is not None:
+            predicted[:3] = turned
+            known[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
+        try:
+            change, covariance = self._fit(scene, part.duration, events, predicted, known)
+        except np.linalg.LinAlgError:
+            return None
+        now = self._turned(scene, window.t_end, window.gyro)
+        if turned is not None and now is not None:
+            change[:3] += now - turned
+        elif since > 0:
+            drift[:3] = _drift_by(drift[0], change[:3], since)
+        covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
+        return _read(window.t_end, scene, change, covariance)
+
+    def _see(self, estimate: Estimate, flow: FlowSampler, gyro: GyroReadings | None) -> _Scene:
+        epipolar, image = self._epipolar, self._image
+        points = self._lattice.pixels * image.sensor_px
+        moved = flow.tracks(points, [estimate.t, estimate.t + _FLOW_STEP_NS])[1] - points
+        rate = moved / image.sensor_px * (NS_PER_S / _FLOW_STEP_NS)
+        w, v = estimate.angular, estimate.linear
+        line = epipolar.a @ v
+        along = ((rate - epipolar.b @ w) * line).sum(axis=-1)
+        inverse_depth = np.maximum(0.0, along / ((line**2).sum(axis=-1) + epipolar.soft**2))
+        by_motion = np.concatenate([epipolar.b, inverse_depth[:, None, None] * epipolar.a], axis=-1)
+        by_motion *= epipolar.usable[:, None, None]
+        travels = estimate.translation_observable
+        order = np.r_[3:6, 0:3]
+        covariance = estimate.covariance[np.ix_(order, order)].copy()
+        if travels:
+            covariance[3:, 3:] += np.outer(v, v)  # nobody knows how the speed changes
+        else:
+            covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
+        turn = None
+        if estimate.gyro.state is GyroState.USED:
+            turn = _measured(gyro, estimate.t)
+        length = estimate.t_end - estimate.t_start
+        motion = np.concatenate([w, v])
+        return _Scene(estimate.t, length, motion, covariance, rate, by_motion, travels, turn)
+
+    def _turned(self, scene: _Scene, t: int, gyro: GyroReadings | None) -> Array | None:
+        """Change of w (3,) since the scene was seen as the gyro tells it, bias and all."""
+        now = _measured(gyro, t)
+        return None if now is None or scene.gyro is None else now - scene.gyro
+
+    def _fit(
+        self, scene: _Scene, duration: float, events: WindowEvents, predicted: Array, known: Array
+    ) -> tuple[Array, Array]:
+        """Newton steps on the contrast from what is predicted, which has the covariance `known`.
+
+        Returns:
+            The change (6,) of (w, v), and its covariance (6, 6).
+
+        Raises:
+            numpy.linalg.LinAlgError: there is no best change.
+        """
+        free = 6 if scene.travels else 3
+        lattice, equations = self._lattice, self._equations
+        by_motion = duration * scene.by_motion[..., :free]
+        rows = np.repeat(by_motion[:, None], lattice.times, axis=1).reshape(-1, free)
+        prior = np.linalg.inv(known[:free, :free])
+        change = predicted[:free].copy()
+        for _ in range(_STEPS):
+            still = duration * scene.flow + by_motion @ change
+            flow = np.repeat(still[:, None], lattice.times, axis=1).reshape(lattice.shape)
+            equations.clear()
+            self._contrast.linearise(
+                events, flow.astype(np.float32), equations.vector, equations.band
+            )
+            force = rows.T @ equations.vector / INFORMATION_EXCESS
+            curvature = rows.T @ _times_band(equations.band, rows) / INFORMATION_EXCESS
+            information = curvature + prior
+            change += np.linalg.solve(information, force - prior @ (change - predicted[:free]))
+        covariance = known.copy()
+        covariance[:free, :free] = np.linalg.inv(information)
+        return np.concatenate([change, np.zeros(6 - free)]), covariance
+
+
+def _drift_by(configured: float, change: Array, seconds: float) -> float:
+    """Drift of w, (rad/s)^2 per second, as the change (3,) of the last `seconds` tells.
+
+    The mean of an expected value, which counts as much as one such change, and the change's own: a
+    camera that shakes goes on shaking, and a calm one stays calm.
+    """
+    expected = _EXPECTED_DRIFT**2 * configured
+    return 0.5 * (expected + float(change @ change) / (3 * seconds))
+
+
+def _measured(gyro: GyroReadings | None, t: int) -> Array | None:
+    """Mean of a gyro's readings (3,) around a time; None if they are not there or not finite."""
+    if gyro is None:
+        return None
+    near = gyro.covering(t - _GYRO_MEAN_NS, t + _GYRO_MEAN_NS)
+    if len(near) == 0 or not np.isfinite(near.w).all():
+        return None
+    return fit_shape(near, t - _GYRO_MEAN_NS, t + _GYRO_MEAN_NS).coefficients[0]
+
+
+def _times_band(band: Array, columns: Array) -> Array:
+    """Multiply a symmetric matrix in lower band storage with columns (n, m)."""
+    products = [dsbmv(band.shape[1] - 1, 1.0, band.T, column, lower=1) for column in columns.T]
+    return np.stack(products, axis=1)
+
+
+def _read(t: int, scene: _Scene, change: Array, covariance: Array) -> PresentTwist | None:
+    w, v = np.split(scene.motion + change, 2)
+    length = float(np.linalg.norm(v))
+    direction = v / length if scene.travels and length > 0 else np.zeros(3)
+    across = np.eye(6)
+    if scene.travels and length > 0:
+        across[3:, 3:] = (np.eye(3) - np.outer(direction, direction)) / length
+    order = np.r_[3:6, 0:3]
+    turned = (across @ covariance @ across.T)[np.ix_(order, order)]
+    if not scene.travels:
+        turned = without_travel(turned)
+    if not (np.isfinite(w).all() and np.isfinite(turned).all()):
+        return None
+    return PresentTwist(Twist(t, direction, w), 0.5 * (turned + turned.T))

@@ -1,0 +1,149 @@
+"""The channel between the node and its worker.
+
+Only plain data crosses it: a JSON header and arrays, no pickled objects.
+"""
+
+import json
+import math
+import os
+import socket
+import struct
+from collections.abc import Mapping
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from emoflow_ros.core.estimate import (
+    Estimate,
+    MotionModel,
+    PresentTwist,
+    Quality,
+    Status,
+    Twist,
+)
+from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
+from emoflow_ros.node.tasks import Arrays, Present, Result, Task
+
+
+class Channel:
+    """One end of a connection between two processes. Not safe for several threads.
+
+    Args:
+        connection: of `multiprocessing.Pipe`, duplex.
+        stall_s: the other end may stop for this long within a message; None: for ever.
+    """
+
+    def __init__(self, connection: Connection, stall_s: float | None = None) -> None:
+        self._connection = connection
+        if stall_s is not None:
+            _bound_transfers(connection, stall_s)
+
+    def send(self, header: Mapping[str, Any], arrays: Arrays) -> None:
+        """Send a message.
+
+        Raises:
+            TimeoutError: the other end does not read.
+            OSError: the other end is gone.
+        """
+        layout = [(name, a.dtype.str, a.shape) for name, a in arrays.items()]
+        try:
+            self._connection.send_bytes(json.dumps([header, layout]).encode())
+            for array in arrays.values():
+                self._connection.send_bytes(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
+        except BlockingIOError:
+            raise TimeoutError("a message is not read") from None
+
+    def receive(self, timeout_s: float | None = None) -> tuple[dict[str, Any], Arrays]:
+        """Wait for a message. Its arrays are writable and belong to the caller.
+
+        Args:
+            timeout_s: how long to wait for its start; None: for ever.
+
+        Raises:
+            TimeoutError: no message, or no more of it.
+            EOFError, OSError: the other end is gone.
+        """
+        if timeout_s is not None and not self._connection.poll(timeout_s):
+            raise TimeoutError(f"no message in {timeout_s:g} s")
+        try:
+            return self._receive()
+        except BlockingIOError:
+            raise TimeoutError("a message is not finished") from None
+
+    def _receive(self) -> tuple[dict[str, Any], Arrays]:
+        header, layout = json.loads(self._connection.recv_bytes())
+        arrays: Arrays = {}
+        for name, dtype, shape in layout:
+            array = np.empty(shape, dtype)
+            self._connection.recv_bytes_into(array.reshape(-1).view(np.uint8))
+            arrays[name] = array
+        return header, arrays
+
+    def close(self) -> None:
+        """Close this end."""
+        self._connection.close()
+
+
+def _bound_transfers(connection: Connection, seconds: float) -> None:
+    """Let every read and write of a connection, which is a pair of sockets, end after a time."""
+    fraction, whole = math.modf(seconds)
+    timeval = struct.pack("@ll", int(whole), round(fraction * 1e6))
+    with socket.socket(fileno=os.dup(connection.fileno())) as end:
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+            end.setsockopt(socket.SOL_SOCKET, option, timeval)
+
+
+def pack(estimate: Estimate) -> tuple[dict[str, Any], Arrays]:
+    """Turn an estimate, without its samplers, into plain data."""
+    header = {
+        "t_start": estimate.t_start,
+        "t_end": estimate.t_end,
+        "t": estimate.t,
+        "status": estimate.status,
+        "model": estimate.model,
+        "quality": asdict(estimate.quality),
+        "gyro": [estimate.gyro.state, estimate.gyro.reason],
+    }
+    arrays: Arrays = {
+        "linear": np.asarray(estimate.linear, np.float64),
+        "angular": np.asarray(estimate.angular, np.float64),
+        "covariance": np.asarray(estimate.covariance, np.float64),
+    }
+    return header, arrays
+
+
+def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
+    """Build the result of a task from its answer; arrays that `pack` does not make are pictures."""
+    state, reason = header["gyro"]
+    estimate = Estimate(
+        t_start=header["t_start"],
+        t_end=header["t_end"],
+        t=header["t"],
+        status=Status(header["status"]),
+        model=MotionModel(header["model"]),
+        quality=Quality(**header["quality"]),
+        gyro=GyroStatus(GyroState(state), reason),
+        linear=arrays.pop("linear"),
+        angular=arrays.pop("angular"),
+        covariance=arrays.pop("covariance"),
+    )
+    return Result(task, estimate, pictures=arrays)
+
+
+def pack_present(found: PresentTwist | None) -> tuple[dict[str, Any], Arrays]:
+    """Turn the motion of now, if there is one, into plain data."""
+    if found is None:
+        return {"t": None}, {}
+    twist = found.twist
+    arrays = {"linear": twist.linear, "angular": twist.angular, "covariance": found.covariance}
+    return {"t": twist.t}, arrays
+
+
+def unpack_present(task: Task, header: dict[str, Any], arrays: Arrays) -> Present | None:
+    """Build the answer to a slice; None if there is no motion of now."""
+    if header["t"] is None:
+        return None
+    twist = Twist(header["t"], arrays["linear"], arrays["angular"])
+    return Present(task, PresentTwist(twist, arrays["covariance"]))

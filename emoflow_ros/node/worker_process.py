@@ -1,0 +1,180 @@
+"""The node's handle of its worker process, and the thread that has slices estimated in it."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Mapping
+from multiprocessing.context import ForkServerContext
+from typing import Any
+
+from emoflow_ros.core.events import Window
+from emoflow_ros.node.channel import Channel, unpack_present
+from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Loss, Present, Task
+from emoflow_ros.node.worker import serve
+
+_IDLE_S = 0.1
+
+
+class WorkerDiedError(Exception):
+    """The worker ended, or was ended, before it answered."""
+
+
+class WorkerProcess:
+    """A worker, started; one thread uses it, another one has slices estimated, any may kill it.
+
+    Args:
+        context: how processes are started.
+        factory: `module:function` that makes the estimator.
+        stall_s: time for a transfer that has begun.
+
+    Attributes:
+        pid: its process id.
+
+    Raises:
+        WorkerDiedError: it cannot be started.
+    """
+
+    def __init__(self, context: ForkServerContext, factory: str, stall_s: float) -> None:
+        mine, its = context.Pipe()
+        my_slices, its_slices = context.Pipe()
+        self._process = context.Process(
+            target=serve, args=(its, its_slices, factory), name="estimator_worker", daemon=True
+        )
+        try:
+            self._process.start()
+        except (OSError, EOFError) as error:
+            mine.close()
+            my_slices.close()
+            raise WorkerDiedError(f"the worker cannot be started ({error})") from None
+        finally:
+            its.close()
+            its_slices.close()
+        self.pid: int | None = self._process.pid
+        self._channel = Channel(mine, stall_s)
+        self._slices = Channel(my_slices, stall_s)
+
+    def request(
+        self, header: Mapping[str, Any], arrays: Arrays, limit: float
+    ) -> tuple[dict[str, Any], Arrays]:
+        """Send a request and wait for the answer, for `limit` seconds at most.
+
+        Raises:
+            WorkerDiedError: there is none in that time.
+        """
+        return self._ask(self._channel, header, arrays, limit)
+
+    def estimate_slice(
+        self, header: Mapping[str, Any], arrays: Arrays, limit: float
+    ) -> tuple[dict[str, Any], Arrays]:
+        """Have the motion at the end of a slice estimated, beside the windows.
+
+        Raises:
+            WorkerDiedError: there is no answer in `limit` seconds.
+        """
+        return self._ask(self._slices, header, arrays, limit)
+
+    def _ask(
+        self, channel: Channel, header: Mapping[str, Any], arrays: Arrays, limit: float
+    ) -> tuple[dict[str, Any], Arrays]:
+        try:
+            channel.send(header, arrays)
+            return channel.receive(limit)
+        except TimeoutError:
+            reason = f"the worker gave no answer in {limit:g} s and was ended"
+            raise WorkerDiedError(reason) from None
+        except (EOFError, OSError):
+            raise WorkerDiedError(f"the worker died ({self._exit_reason()})") from None
+
+    def check(self) -> None:
+        """Notice a death between two requests.
+
+        Raises:
+            WorkerDiedError: it is dead.
+        """
+        if not self._process.is_alive():
+            raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
+
+    def kill(self) -> None:
+        """End it at once. Any thread may call this at any time."""
+        with contextlib.suppress(ValueError, OSError):
+            self._process.kill()
+
+    def end(self) -> None:
+        """End it, and close its files now rather than when the garbage collector does."""
+        self.kill()
+        self._channel.close()
+        self._slices.close()
+        self._process.join(1.0)
+        with contextlib.suppress(ValueError):  # it has not ended yet
+            self._process.close()
+
+    def _exit_reason(self) -> str:
+        try:
+            self._process.join(1.0)
+            code = self._process.exitcode
+        except ValueError:  # closed by another thread
+            code = None
+        return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+
+
+class SliceFeed:
+    """Has the newest slices estimated beside the windows, in a thread of its own.
+
+    A slice that nobody has time for gives way to the next one. A worker that does not answer is
+    ended here; the supervisor notices, and starts another one.
+
+    Args:
+        worker: the present worker; None while it is not ready.
+        timeout_s: time for one slice.
+        tell: gets what comes of slices, in the feed's thread.
+    """
+
+    def __init__(
+        self,
+        worker: Callable[[], WorkerProcess | None],
+        timeout_s: float,
+        tell: Callable[[Present | Loss], None],
+    ) -> None:
+        self.queue: DropOldestQueue[Task] = DropOldestQueue(1)
+        self._worker = worker
+        self._timeout_s = timeout_s
+        self._tell = tell
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="slices", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; end the worker before."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=0.5)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            task = self.queue.get(_IDLE_S)
+            worker = self._worker()
+            if task is None or worker is None:
+                continue
+            try:
+                answer = worker.estimate_slice(*window_request(task.window), self._timeout_s)
+            except WorkerDiedError:
+                worker.kill()
+                continue
+            with contextlib.suppress(Exception):  # of waking the node: the outcome is there already
+                self._pass_on(task, *answer)
+
+    def _pass_on(self, task: Task, header: dict[str, Any], arrays: Arrays) -> None:
+        if "error" in header:
+            self._tell(Loss(f"a slice failed: {header['error']}", worker=False))
+        elif present := unpack_present(task, header, arrays):
+            self._tell(present)
+
+
+def window_request(window: Window) -> tuple[dict[str, Any], Arrays]:
+    """Build the part of a request that tells a window: header and arrays."""
+    arrays: Arrays = {name: getattr(window.events, name) for name in ("x", "y", "t", "p")}
+    if window.gyro is not None:
+        arrays |= {"gyro_t": window.gyro.t, "gyro_w": window.gyro.w}
+    return {"kind": "window", "t_start": window.t_start, "t_end": window.t_end}, arrays

@@ -1,0 +1,173 @@
+"""The motion of now on simulated recordings, whose motion is known at every instant."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Estimate, MotionModel, PresentTwist, Status
+from emoflow_ros.core.events import NS_PER_MS, SLICE_EVENTS, SLICE_MS, Window, WindowSlicer
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
+from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.simulation.recording import SimulatedRecording
+from emoflow_ros.simulation.simulate import simulate
+
+SLICE_NS = round(SLICE_MS * NS_PER_MS)
+LATE_NS = 60 * NS_PER_MS  # from a window's end until its estimate is there
+CONFIG = load_config(overrides={"estimator.max_doubt": 1.0})  # withholds no window
+STEP_NS = 20 * NS_PER_MS
+
+
+@dataclass
+class Run:
+    """Estimates of a recording's windows."""
+
+    recording: SimulatedRecording
+    estimates: list[Estimate]
+
+    def slice(self, t_end: int) -> Window:
+        events = self.recording.events
+        first, last = np.searchsorted(events.t, [t_end - SLICE_NS, t_end])
+        return Window(t_end - SLICE_NS, t_end, events[first:last]).thinned(SLICE_EVENTS)
+
+    def present(self) -> PresentMotion:
+        return PresentMotion(self.recording.camera, CONFIG.estimator)
+
+    def angular(self, t: int) -> np.ndarray:
+        return self.recording.truth.twist(t)[1]
+
+
+@cache
+def run(scene: str) -> Run:
+    recording = simulate(scene, duration_s=1.2, seed=0)
+    estimator = make_estimator(recording.camera, CONFIG)
+    windows = WindowSlicer(CONFIG.window).push(recording.events)
+    return Run(recording, [estimator.estimate(window) for window in windows])
+
+
+def last(scene: str) -> tuple[Run, Estimate]:
+    its = run(scene)
+    return its, [e for e in its.estimates if e.translation_observable][-2]
+
+
+def degrees(error: np.ndarray) -> float:
+    return float(np.degrees(np.linalg.norm(error)))
+
+
+def test_it_follows_a_motion_that_changes_where_the_last_window_does_not() -> None:
+    its, present = run("agile"), run("agile").present()
+    errors, held, squares = [], [], []
+    for estimate in its.estimates[4:]:
+        present.know(estimate)
+        for k in range(3):
+            t = estimate.t_end + LATE_NS + k * STEP_NS
+            found = present.estimate(its.slice(t))
+            if found is None:
+                continue
+            error = found.twist.angular - its.angular(t)
+            errors.append(degrees(error))
+            held.append(degrees(estimate.angular - its.angular(t)))
+            squares.append(error @ np.linalg.solve(found.covariance[3:, 3:], error) / 3)
+    assert len(errors) > 30
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(held)))
+    assert 0.3 < np.mean(squares) < 3
+
+
+def test_the_same_slice_and_window_give_the_same_bits() -> None:
+    its, estimate = last("agile")
+    found = []
+    for before in (its.estimates[0], its.estimates[5]):
+        present = its.present()
+        present.know(before)
+        present.estimate(its.slice(before.t_end + LATE_NS))
+        present.know(estimate)
+        found.append(present.estimate(its.slice(estimate.t_end + LATE_NS)))
+    assert found[0] is not None and found[1] is not None
+    np.testing.assert_array_equal(found[0].twist.angular, found[1].twist.angular)
+    np.testing.assert_array_equal(found[0].covariance, found[1].covariance)
+
+
+def test_direction_has_unit_length_and_no_variance_along_itself() -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    found = present.estimate(its.slice(estimate.t_end + LATE_NS))
+    assert found is not None
+    v = found.twist.linear
+    assert np.linalg.norm(v) == pytest.approx(1.0)
+    assert v @ estimate.linear > np.cos(np.radians(30))
+    assert abs(v @ found.covariance[:3, :3] @ v) < 1e-9
+    assert np.linalg.eigvalsh(found.covariance).min() > -1e-9
+
+
+def test_without_a_direction_of_travel_only_the_rotation_is_told() -> None:
+    its, estimate = last("calm")
+    covariance = np.zeros((6, 6))
+    covariance[0, 0], covariance[3:, 3:] = -1.0, estimate.covariance[3:, 3:]
+    turning = replace(
+        estimate, model=MotionModel.ROTATION, linear=np.zeros(3), covariance=covariance
+    )
+    present = its.present()
+    present.know(turning)
+    found = present.estimate(its.slice(estimate.t_end + LATE_NS))
+    assert found is not None
+    np.testing.assert_array_equal(found.twist.linear, np.zeros(3))
+    assert found.covariance[0, 0] == -1.0
+    np.testing.assert_array_equal(found.covariance[:3, 3:], np.zeros((3, 3)))
+
+
+def with_gyro(window: Window, its: Run, bias: np.ndarray) -> Window:
+    t = np.arange(window.t_start - 50 * NS_PER_MS, window.t_end + 50 * NS_PER_MS, NS_PER_MS)
+    return replace(window, gyro=GyroReadings(t, np.array([its.angular(k) + bias for k in t])))
+
+
+def test_a_gyro_tells_the_change_since_the_window_whatever_its_bias() -> None:
+    its, estimate = last("agile")
+    true = replace(estimate, angular=its.angular(estimate.t), gyro=GyroStatus(GyroState.USED))
+    bias = np.radians([3.0, -2.0, 1.0])
+    present = its.present()
+    window = Window(estimate.t_start, estimate.t_end, its.recording.events[:0])
+    present.know(true, with_gyro(window, its, bias).gyro)
+    t = estimate.t_end + LATE_NS
+    found = present.estimate(with_gyro(its.slice(t), its, bias))
+    alone = present.estimate(its.slice(t))
+    assert found is not None and alone is not None
+    error = degrees(found.twist.angular - its.angular(t))
+    assert error < 2.0 < degrees(estimate.angular - its.angular(t))
+    assert np.trace(found.covariance[3:, 3:]) < 0.5 * np.trace(alone.covariance[3:, 3:])
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
+def test_after_a_window_without_an_estimate_there_is_no_motion_of_now(status: Status) -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    present.know(replace(estimate, status=status))
+    assert present.estimate(its.slice(estimate.t_end + LATE_NS)) is None
+
+
+def found_at(late_ns: int) -> PresentTwist | None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    window = its.slice(estimate.t_end + LATE_NS)
+    t_end = estimate.t + late_ns
+    return present.estimate(replace(window, t_start=t_end - SLICE_NS, t_end=t_end))
+
+
+def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
+    assert found_at(0) is None
+    assert found_at(301 * NS_PER_MS) is None
+
+
+def test_few_events_tell_nothing_of_now() -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    window = its.slice(estimate.t_end + LATE_NS)
+    assert present.estimate(window.thinned(3_000)) is not None
+    assert present.estimate(window.thinned(250)) is None
