@@ -12,7 +12,12 @@ ARGUMENTS = {
     "wait": ("60", "seconds to wait for the estimator, which needs a while to warm up"),
     "record": ("", "folder of a new bag of what the estimator says; empty: none"),
 }
-RECORDED = ("egomotion/twist", "egomotion/twist_with_covariance", "egomotion/status")
+RECORDED = (
+    "egomotion/twist",
+    "egomotion/twist_now",
+    "egomotion/twist_with_covariance",
+    "egomotion/status",
+)
 
 
 def generate_launch_description() -> Any:

@@ -1,6 +1,7 @@
 """The real-time estimator: a warm-started lattice fit per window."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -67,7 +68,9 @@ class LatticeEstimator:
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
-        self._second_look = SecondLook(self.lattice, self._fit.contrasts, config)
+        # The second look knows nothing of the fit, and so runs beside it where a core is free.
+        self._second_look = SecondLook(self.lattice, make_contrast, config)
+        self._beside = ThreadPoolExecutor(1, "second_look")
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
@@ -99,6 +102,7 @@ class LatticeEstimator:
         warm = last is not None and last.reaches(window)
         coarse = self._fit.contrasts[0.25]
         fresh = fresh_start(coarse, events, self.lattice.shape)
+        looking = self._beside.submit(self._second_look.flow, events, fresh)
         try:
             if warm and last is not None:
                 flows = last.flows(window)
@@ -115,8 +119,7 @@ class LatticeEstimator:
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            looked = self._second_look.flow(events, fresh)
-            apart = distance(looked, self._fit.flow, self._evidence())
+            apart = distance(looking.result(), self._fit.flow, self._evidence())
             change = self._change.measure(events, self._fit.flow)
             quality = self._quality(len(events), stop, gain, warm=warm)
             quality = replace(quality, change_px=change, second_look_px=apart)

@@ -8,12 +8,16 @@ distance follows the probability that the estimate is wrong.
 """
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.contrast import ImageContrast, WindowEvents, best_constant_flow
+from emoflow_ros.core.contrast import (
+    ContrastFactory,
+    ImageContrast,
+    WindowEvents,
+    best_constant_flow,
+)
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice
@@ -48,15 +52,15 @@ class SecondLook:
 
     Args:
         lattice: of the flow.
-        contrasts: by the scale of the image.
+        make_contrast: where the contrast is computed.
         config: for the smoothness.
     """
 
     def __init__(
-        self, lattice: Lattice, contrasts: Mapping[float, ImageContrast], config: LatticeConfig
+        self, lattice: Lattice, make_contrast: ContrastFactory, config: LatticeConfig
     ) -> None:
         self._equations = NormalEquations(lattice, 0)
-        self._contrasts = contrasts
+        self._contrasts = {scale: make_contrast(lattice, scale) for scale, _, _ in _STEPS}
         self._config = config
 
     def flow(self, events: WindowEvents, start: F32) -> F32:

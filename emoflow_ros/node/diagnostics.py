@@ -32,7 +32,7 @@ _WARNINGS = {
 }
 _ALSO_COUNTED = (
     *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
-    *("windows", "windows_forgotten"),
+    *("windows", "windows_forgotten", "twists_now"),
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.
@@ -158,6 +158,7 @@ class Statistics:
         values = {
             "events_per_s": f"{(current['events'] - counts['events']) / elapsed:.0f}",
             "windows_per_s": f"{done / elapsed:.2f}",
+            "twists_now_per_s": f"{(current['twists_now'] - counts['twists_now']) / elapsed:.1f}",
             **self._quality(),
             "clock_drift_ppm": f"{self.clock_drift_ppm:.1f}",
             "memory_mb": f"{resident_mb(os.getpid()):.0f}",

@@ -210,6 +210,7 @@ class Pipeline:
                         self._outputs.publish(result)
                 case Present() as present:
                     if present.task.epoch == self._epoch:
+                        self.statistics.counts["twists_now"] += 1
                         self._outputs.publish_present(present)
                 case Loss() as loss:
                     self._report(loss)

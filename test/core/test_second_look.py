@@ -41,7 +41,7 @@ def events() -> WindowEvents:
 @pytest.fixture(scope="module")
 def found(events) -> np.ndarray:
     fresh = fresh_start(CONTRASTS[0.25], events, LATTICE.shape)
-    return SecondLook(LATTICE, CONTRASTS, LatticeConfig()).flow(events, fresh)
+    return SecondLook(LATTICE, Contrast, LatticeConfig()).flow(events, fresh)
 
 
 def test_it_finds_the_flow_by_itself(found):
@@ -68,4 +68,4 @@ def test_nodes_count_by_their_evidence():
 def test_weights_that_are_not_finite_have_no_flow(events):
     broken = replace(events, weights=events.weights * np.float32(np.nan))
     with pytest.raises(NotPositiveDefiniteError):
-        SecondLook(LATTICE, CONTRASTS, LatticeConfig()).flow(broken, constant(0, 0))
+        SecondLook(LATTICE, Contrast, LatticeConfig()).flow(broken, constant(0, 0))

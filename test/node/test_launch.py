@@ -224,6 +224,7 @@ def test_replay_records_what_the_estimator_says(replay: Start, namespace: str) -
     assert recorder.cmd == [
         *("ros2", "bag", "record", "--output", "answers"),
         f"{prefix}/egomotion/twist",
+        f"{prefix}/egomotion/twist_now",
         f"{prefix}/egomotion/twist_with_covariance",
         f"{prefix}/egomotion/status",
         "/diagnostics",

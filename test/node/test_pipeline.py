@@ -317,3 +317,4 @@ def test_slices_go_beside_windows_and_their_twists_are_of_this_epoch(
     [message] = bench.node.messages("egomotion/twist")
     assert message.header.stamp.nanosec == 150 * MS
     assert bench.pipeline.statistics.counts["windows_forgotten"] == 0
+    assert bench.pipeline.statistics.counts["twists_now"] == 1
