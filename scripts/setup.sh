@@ -77,7 +77,8 @@ install_requirements() {
     [ -d "$ROS" ] || options+=(--requirements requirements-ros.in --constraints requirements-ros.lock)
     echo "setup: requirements ($size the first time)"
     scripts/uv_install.sh "$VENV" "${options[@]}"
-    # Wheels of ROS bring the same libraries several times.
+    # Wheels of ROS bring the same libraries several times, and headers to build against them.
+    rm -rf "$VENV"/include/*
     if command -v hardlink >/dev/null; then
         hardlink --quiet --ignore-time "$VENV/lib"
     fi
