@@ -38,7 +38,8 @@ _CDR_RECORD = np.dtype(
 )
 # A point of a cloud: its time counts from the message's stamp.
 _POINT = np.dtype([("x", "<u2"), ("y", "<u2"), ("t_ns", "<u4"), ("p", "u1")])
-_POINT_FIELDS = {"<u2": 4, "<u4": 6, "|u1": 2}  # types of sensor_msgs/PointField
+# Name, offset and type of each member, as in sensor_msgs/PointField.
+_POINT_FIELDS = (("x", 0, 4), ("y", 2, 4), ("t_ns", 4, 6), ("p", 8, 2))
 
 
 @dataclass(frozen=True)
@@ -81,15 +82,11 @@ class MessageEncoder:
         points["x"], points["y"], points["p"] = events.x, events.y, events.p
         points["t_ns"] = events.t - stamp
         field = self._types["sensor_msgs/msg/PointField"]
-        fields = [
-            field(name, offset, _POINT_FIELDS[dtype.str], 1)
-            for name, (dtype, offset) in (_POINT.fields or {}).items()
-        ]
         cloud = self._types[POINT_CLOUD](
             header=self._header(stamp, OPTICAL_FRAME),
             height=1,
             width=len(points),
-            fields=fields,
+            fields=[field(name, offset, kind, 1) for name, offset, kind in _POINT_FIELDS],
             is_bigendian=False,
             point_step=_POINT.itemsize,
             row_step=points.nbytes,
