@@ -103,7 +103,7 @@ if [ -f "$stamp" ] && [ -f install/setup.bash ]; then
         exit 0
     fi
 fi
-if ! runs_wanted_python "$VENV/bin/python"; then
+if ! runs_wanted_python "$VENV/bin/python" || [ ! -x "$VENV/bin/pip" ]; then
     make_venv
 fi
 install_requirements
