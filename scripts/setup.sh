@@ -67,7 +67,7 @@ make_venv() {
 # (UV_TORCH_BACKEND=cpu) leaves the CUDA libraries out.
 install_requirements() {
     local part options=(--constraints requirements.lock --requirements requirements.in)
-    local size="700 MB"
+    local size="600 MB"
     if [ "$PARTS" != light ]; then
         for part in offline ray test torch; do
             options+=(--requirements "requirements-$part.in")

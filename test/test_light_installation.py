@@ -13,8 +13,8 @@ import pytest
 from event_bags import make_events
 
 ROOT = Path(__file__).resolve().parents[1]
-HIDDEN = {"aedat", "hdf5plugin", "ray", "skimage", "torch", "torchdiffeq"}
-IMPORT_OF = {"scikit-image": "skimage"}
+HIDDEN = {"aedat", "cv2", "hdf5plugin", "ray", "skimage", "torch", "torchdiffeq"}
+IMPORT_OF = {"opencv-python-headless": "cv2", "scikit-image": "skimage"}
 # Python runs it first, in child processes, too. These packages are then not found.
 HIDE = f"""
 from functools import partial
