@@ -17,7 +17,7 @@ messages: setup  ## message packages of the event camera drivers, where not inst
 	@scripts/build_test_messages.sh
 
 demo: export PARTS = light
-demo: messages  ## simulate, replay through the running node, report in out/demo/
+demo: setup  ## simulate, replay through the running node, report in out/demo/
 	@$(ENV)
 	python -m emoflow_ros.commands.demo
 

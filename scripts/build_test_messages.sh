@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Build message packages of the names and layouts of the event camera drivers' messages, for
-# tests and the demo on machines where those packages are not installed. They go into
-# .test_messages/install; the generators have an environment of their own there.
+# tests on machines where those packages are not installed. They go into .test_messages/install;
+# the generators have an environment of their own there, which is removed after the build.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -85,9 +85,8 @@ build() {
         set -u
     else
         venv=$PWD/$ROOT/venv
-        .venv/bin/uv venv --quiet --clear --python .venv/bin/python "$venv"
-        .venv/bin/uv pip install --quiet --python "$venv/bin/python" \
-            --requirements requirements-messages.lock
+        .venv/bin/python -m venv --without-pip "$venv"
+        scripts/uv_install.sh "$venv" --requirements requirements-messages.lock
         mend_exports "$venv"
         export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
     fi
@@ -96,6 +95,7 @@ build() {
         --build-base "$ROOT/build" --install-base "$ROOT/install" \
         --cmake-args -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF \
         >"$log" 2>&1 || { cat "$log" >&2; fail "the test messages could not be built"; }
+    rm -rf "$ROOT/venv" "$ROOT/build"
 }
 
 installed() {

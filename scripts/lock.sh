@@ -12,6 +12,6 @@ lock() {
         --python .venv/bin/python "$1.in" --output-file "$1.lock" "${@:2}" "${upgrade[@]}"
 }
 
-lock requirements requirements-torch.in requirements-test.in
+lock requirements requirements-{offline,ray,test,torch}.in
 lock requirements-ros --constraints requirements.lock  # both go into one environment
 lock requirements-messages

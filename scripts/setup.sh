@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Make .venv, install the pinned requirements and build the package into install/.
-# A second call finds nothing to do and ends at once. With PARTS=light it installs what the node and
-# the offline commands need: neither PyTorch nor what only tests need.
+# A second call finds nothing to do and ends at once. PARTS=light leaves out what is optional at run
+# time (PyTorch, Ray, libraries of single file formats) and what only tests need.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -45,7 +45,7 @@ find_python() {
 # Digest of what decides the contents of .venv and install/; the sources themselves are linked.
 digest() {
     {
-        cat scripts/setup.sh requirements{,-ros}.{in,lock} requirements-{torch,test}.in
+        cat scripts/{setup,uv_install}.sh requirements{,-ros}.{in,lock} requirements-{offline,ray,test,torch}.in
         cat package.xml setup.py setup.cfg
         find launch config resource -type f | sort
         [ -d "$ROS" ] && echo "$ROS"
@@ -61,20 +61,27 @@ make_venv() {
     "$python" -m venv --clear "${options[@]}" "$VENV" ||
         fail "$python cannot make a virtual environment; install python$PYTHON_WANTED-venv"
     touch "$VENV/COLCON_IGNORE"
-    "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check uv
 }
 
 # The lock constrains and does not list what to install, so that a CPU build of PyTorch
 # (UV_TORCH_BACKEND=cpu) leaves the CUDA libraries out.
 install_requirements() {
-    local options=(--constraints requirements.lock --requirements requirements.in)
-    [ "$PARTS" = light ] ||
-        options+=(--requirements requirements-torch.in --requirements requirements-test.in)
+    local part options=(--constraints requirements.lock --requirements requirements.in)
+    local size="600 MB"
+    if [ "$PARTS" != light ]; then
+        for part in offline ray test torch; do
+            options+=(--requirements "requirements-$part.in")
+        done
+        size="several gigabytes"
+    fi
     [ -d "$ROS" ] || options+=(--requirements requirements-ros.in --constraints requirements-ros.lock)
-    local size="several gigabytes"
-    [ "$PARTS" = light ] && size="a gigabyte"
     echo "setup: requirements ($size the first time)"
-    "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "${options[@]}"
+    scripts/uv_install.sh "$VENV" "${options[@]}"
+    # Wheels of ROS bring the same libraries several times, and headers to build against them.
+    rm -rf "$VENV"/include/*
+    if command -v hardlink >/dev/null; then
+        hardlink --quiet --ignore-time "$VENV/lib"
+    fi
 }
 
 build_package() {
@@ -96,7 +103,7 @@ if [ -f "$stamp" ] && [ -f install/setup.bash ]; then
         exit 0
     fi
 fi
-if ! runs_wanted_python "$VENV/bin/python" || [ ! -x "$VENV/bin/uv" ]; then
+if ! runs_wanted_python "$VENV/bin/python" || [ ! -x "$VENV/bin/pip" ]; then
     make_venv
 fi
 install_requirements

@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ("emoflow_ros", "msg_adapters", "launch")
 OWN = {"emoflow_ros", "msg_adapters"}
-REQUIREMENTS = ("requirements.in", "requirements-torch.in", "requirements-test.in")
+REQUIREMENTS = ("requirements.in", *(f"requirements-{p}.in" for p in ("offline", "ray", "torch")))
 
 ROS_PACKAGES = {
     "ament_index_python",

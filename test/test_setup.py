@@ -12,8 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 LOCKS = ("requirements", "requirements-ros", "requirements-messages")
 LOCK_OF = {name: name for name in LOCKS} | {
-    "requirements-torch": "requirements",
-    "requirements-test": "requirements",
+    f"requirements-{part}": "requirements" for part in ("offline", "ray", "test", "torch")
 }
 
 

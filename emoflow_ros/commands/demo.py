@@ -37,12 +37,12 @@ from msg_adapters import make_decoder
 _SCENE = "calm"
 _DURATION_S = 2.5
 _EVENTS = "/davis/left/events"
-_EVENTS_TYPE = "dvs_msgs/msg/EventArray"
+_EVENTS_TYPE = "sensor_msgs/msg/PointCloud2"  # every ROS has it, so that nothing need be built
 _DOMAIN = "86"
 _WAIT_S = 120.0
 _QUIET_S = 3.0
 # Every window is compared: on a slow or busy machine twists come late, and none is left out.
-_ALL_WINDOWS = ("--ros-args", "-p", "input.queue_windows:=100")
+_ALL_WINDOWS = ("-p", "input.queue_windows:=100")
 _STOP_S = 5.0
 _EXIT_INCOMPLETE = 1
 type Vector = NDArray[np.float64]
@@ -93,7 +93,9 @@ def _main() -> int:
     os.environ["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID", _DOMAIN)
 
     _announce(f"simulating {_DURATION_S:g} s of the scene '{_SCENE}'")
-    _execute("simulate", _SCENE, "--out", str(folder), "--duration", str(_DURATION_S), "--force")
+    duration = ("--duration", str(_DURATION_S))
+    events = ("--events", _EVENTS_TYPE.rpartition("/")[2])
+    _execute("simulate", _SCENE, "--out", str(folder), *duration, *events, "--force")
     bag = folder / f"{_SCENE}_data.bag"
     truth_files = [folder / f"{_SCENE}_gt.bag", folder / f"{_SCENE}_gt_flow_dist.npz"]
     _announce("replaying it through the node")
@@ -147,7 +149,8 @@ def _replay_through_node(bag: Path) -> Collected:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         subscriber = _Subscriber()
-        with _running("estimator", *_ALL_WINDOWS) as estimator:
+        arguments = ("--ros-args", "-r", f"events:={_EVENTS}", *_ALL_WINDOWS)
+        with _running("estimator", *arguments) as estimator:
             while not subscriber.twists.get_publisher_count():
                 _spin_with(subscriber, estimator)
             with _running("replay", str(bag), "--wait", str(_WAIT_S)) as replay:

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -119,8 +118,16 @@ def gaussian(sigma: float) -> F32:
 
 
 def smooth(image: F32, taps: F32) -> None:
-    """Convolve an image (h, w) with a kernel along rows and columns, in place; zero outside."""
-    cv2.sepFilter2D(image, -1, taps, taps, dst=image, borderType=cv2.BORDER_CONSTANT)
+    """Convolve an image (h, w) along rows and columns, in place; zero outside.
+
+    Args:
+        image: (h, w).
+        taps: symmetric, 13 at most.
+    """
+    middle = len(taps) // 2
+    outwards = np.zeros(kernels.REACH + 1, np.float32)
+    outwards[: middle + 1] = taps[middle:]
+    kernels.smooth(image, outwards)
 
 
 class Contrast:

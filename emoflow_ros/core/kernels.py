@@ -1,4 +1,4 @@
-"""The hot path: warp, vote and the pull of the contrast on the lattice, in numba.
+"""The hot path: warp, vote, smoothing and the pull of the contrast on the lattice, in numba.
 
 Positions are in pixels of the sensor, times s in [0, 1] over the window, lattice values in
 px per window. Images have a margin, so that events warped across the border still count.
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 
 MARGIN = 12  # px of the sensor around the image of warped events
+REACH = 6  # px of an image on either side of the middle of a smoothing kernel, at most
 
 _fast = numba.njit(cache=True, fastmath=True, nogil=True)
 
@@ -136,6 +137,32 @@ def vote(position: F32, weights: F32, scale: float, images: F32) -> None:
                 image[i, j + 1] += above * fx
                 image[i + 1, j] += below * (one - fx)
                 image[i + 1, j + 1] += below * fx
+
+
+@_fast
+def smooth(image: F32, taps: F32) -> None:
+    """Convolve an image with a symmetric kernel along columns and rows, in place; zero outside.
+
+    Args:
+        image: (h, w).
+        taps: (REACH + 1,) from the middle outwards: always as many, so that the loops over them
+            are unrolled.
+    """
+    h, w = image.shape
+    padded = np.zeros((h + 2 * REACH, w), np.float32)
+    padded[REACH:-REACH] = image
+    row = np.zeros(w + 2 * REACH, np.float32)
+    for i in range(h):
+        for j in range(w):
+            total = taps[0] * padded[i + REACH, j]
+            for k in range(1, REACH + 1):
+                total += taps[k] * (padded[i + REACH - k, j] + padded[i + REACH + k, j])
+            row[j + REACH] = total
+        for j in range(w):
+            total = taps[0] * row[j + REACH]
+            for k in range(1, REACH + 1):
+                total += taps[k] * (row[j + REACH - k] + row[j + REACH + k])
+            image[i, j] = total
 
 
 @_fast

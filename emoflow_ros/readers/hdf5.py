@@ -2,14 +2,20 @@
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import h5py
-import hdf5plugin  # noqa: F401  registers the compressions that data sets use
 
 from emoflow_ros.errors import InputError
+
+try:  # optional: it registers the compressions that data sets use
+    import hdf5plugin  # noqa: F401
+
+    _ADD_COMPRESSION = "install its HDF5 plugin"
+except ImportError:
+    _ADD_COMPRESSION = "run 'pip install hdf5plugin'"
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 CHUNK = 1_000_000  # events
@@ -50,7 +56,7 @@ def damage_refused(path: Path) -> Iterator[None]:
     """Turn what h5py raises while a damaged file is read into an InputError.
 
     Raises:
-        InputError: the file is damaged.
+        InputError: the file is damaged, or compressed in a way that is not installed.
     """
     try:
         yield
@@ -71,5 +77,28 @@ def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:
 
 def refuse(path: Path, error: Exception) -> NoReturn:
     """Raise the InputError of a file that cannot be read."""
+    if names := _compressions_not_installed(path):
+        raise InputError(
+            path,
+            f"compressed with {', '.join(names)}, which the installed libraries cannot read",
+            _ADD_COMPRESSION,
+        ) from None
     reason = " ".join(str(error).split())
     raise InputError(path, f"damaged HDF5 file ({reason})", "copy it again") from None
+
+
+def _compressions_not_installed(path: Path) -> list[str]:
+    """Name the compressions that no library here reads; nothing where damage hides them."""
+    names: set[str] = set()
+
+    def visit(_: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            creation = item.id.get_create_plist()
+            for k in range(creation.get_nfilters()):
+                code, _, _, name = creation.get_filter(k)
+                if not h5py.h5z.filter_avail(code):
+                    names.add(name.decode(errors="replace").split(";")[0] or f"filter {code}")
+
+    with suppress(*_DAMAGED), h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return sorted(names)

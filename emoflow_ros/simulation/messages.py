@@ -13,6 +13,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMU = "sensor_msgs/msg/Imu"
 IMAGE = "sensor_msgs/msg/Image"
@@ -35,6 +36,10 @@ _CDR_RECORD = np.dtype(
         "itemsize": 16,
     }
 )
+# A point of a cloud: its time counts from the message's stamp.
+_POINT = np.dtype([("x", "<u2"), ("y", "<u2"), ("t_ns", "<u4"), ("p", "u1")])
+# Name, offset and type of each member, as in sensor_msgs/PointField.
+_POINT_FIELDS = (("x", 0, 4), ("y", 2, 4), ("t_ns", 4, 6), ("p", 8, 2))
 
 
 @dataclass(frozen=True)
@@ -50,16 +55,20 @@ class MessageEncoder:
 
     Args:
         ros1: ROS 1 serialisation and types, otherwise ROS 2's CDR, little endian.
+        event_type: EVENT_ARRAY or POINT_CLOUD.
     """
 
-    def __init__(self, *, ros1: bool) -> None:
+    def __init__(self, *, ros1: bool, event_type: str = EVENT_ARRAY) -> None:
         self.ros1 = ros1
+        self.event_type = event_type
         self.typestore = _typestore(ros1)
         self._types: dict[str, Any] = dict(self.typestore.types)
         self._record = _ROS1_RECORD if ros1 else _CDR_RECORD
 
     def events(self, stamp: int, camera: Camera, events: Events) -> bytes:
-        """dvs_msgs/EventArray; stamp in ns."""
+        """Message of `event_type`; stamp in ns, at the first event or less than 4 s before it."""
+        if self.event_type == POINT_CLOUD:
+            return self._point_cloud(stamp, events)
         empty = self._types[EVENT_ARRAY](
             self._header(stamp, OPTICAL_FRAME), camera.height, camera.width, []
         )
@@ -67,6 +76,24 @@ class MessageEncoder:
         # A message without events ends in their count.
         count = len(events).to_bytes(4, "little")
         return self._serialize(empty, EVENT_ARRAY)[:-4] + count + body
+
+    def _point_cloud(self, stamp: int, events: Events) -> bytes:
+        points = np.empty(len(events), _POINT)
+        points["x"], points["y"], points["p"] = events.x, events.y, events.p
+        points["t_ns"] = events.t - stamp
+        field = self._types["sensor_msgs/msg/PointField"]
+        cloud = self._types[POINT_CLOUD](
+            header=self._header(stamp, OPTICAL_FRAME),
+            height=1,
+            width=len(points),
+            fields=[field(name, offset, kind, 1) for name, offset, kind in _POINT_FIELDS],
+            is_bigendian=False,
+            point_step=_POINT.itemsize,
+            row_step=points.nbytes,
+            data=points.view(np.uint8),
+            is_dense=True,
+        )
+        return self._serialize(cloud, POINT_CLOUD)
 
     def camera_info(self, stamp: int, camera: Camera) -> bytes:
         """sensor_msgs/CameraInfo; P is K, so the rectified image keeps the intrinsics."""

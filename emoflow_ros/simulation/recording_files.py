@@ -100,6 +100,7 @@ def write_recording(
     paths: OutputPaths,
     bag_format: str,
     *,
+    event_type: str = msg.EVENT_ARRAY,
     imu: ImuModel = _IMU,
     progress: bool = False,
 ) -> SimulatedImu:
@@ -109,6 +110,7 @@ def write_recording(
         recording: what was simulated.
         paths: where to.
         bag_format: one of FORMATS.
+        event_type: of the messages of events, see MessageEncoder.
         imu: how good the IMU is.
         progress: whether to show bars.
 
@@ -119,7 +121,7 @@ def write_recording(
     readings = simulate_imu(
         recording.truth, recording.t_start, recording.t_end, imu, recording.seed
     )
-    encoder = MessageEncoder(ros1=bag_format == "rosbag1")
+    encoder = MessageEncoder(ros1=bag_format == "rosbag1", event_type=event_type)
     _write_calibration(paths.calibration, recording.camera)
     write_bag(paths.data, encoder, data_topics(recording, encoder, readings), progress=progress)
     write_bag(paths.truth, encoder, truth_topics(recording, encoder), progress=progress)
@@ -204,7 +206,7 @@ def data_topics(
     start, end = recording.t_start, recording.t_end
     batch_ends = range(start + _EVENT_BATCH, end + _EVENT_BATCH, _EVENT_BATCH)
     return [
-        Topic("/davis/left/events", msg.EVENT_ARRAY, batch_ends, encode_events),
+        Topic("/davis/left/events", encoder.event_type, batch_ends, encode_events),
         Topic(
             "/davis/left/camera_info",
             msg.CAMERA_INFO,

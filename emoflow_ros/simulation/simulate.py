@@ -10,6 +10,7 @@ from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.options import options_of, replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import draw_factors, factor_specs
+from emoflow_ros.simulation.messages import EVENT_ARRAY, POINT_CLOUD
 from emoflow_ros.simulation.random_recording import simulate_random
 from emoflow_ros.simulation.recording import LENSES, SCENES, SimulatedRecording, davis346, simulate
 from emoflow_ros.simulation.recording_files import (
@@ -22,6 +23,8 @@ from emoflow_ros.simulation.sensor import SensorModel
 from emoflow_ros.simulation.simulated_truth import PERFECT, ImuModel
 
 RANDOM = "random"
+_EVENT_TYPES = {name.rpartition("/")[2]: name for name in (EVENT_ARRAY, POINT_CLOUD)}
+_FIRST_START_OF_CLOUDS = 1  # s; before it their times could count from zero
 _OF_SCENES = ("distortion", "fps", "threshold", "mismatch", "refractory_us", "noise")
 _DISTORTION, _FPS = "equidistant", 1000
 _LAST_START = 2**31 - 3600  # ROS 2 stamps hold seconds in 31 bits
@@ -75,6 +78,13 @@ def _parser() -> argparse.ArgumentParser:
         help=f"fix a factor of the scene random: {', '.join(factor_specs())}",
     )
     add("--format", choices=FORMATS, default=FORMATS[0], help="of the bags (default: rosbag1)")
+    add(
+        "--events",
+        choices=_EVENT_TYPES,
+        default="EventArray",
+        help="message type: EventArray of dvs_msgs (default), or PointCloud2 of sensor_msgs, which "
+        "every installation of ROS can replay",
+    )
     add(
         "--distortion",
         choices=LENSES,
@@ -149,6 +159,12 @@ def _simulate(args: argparse.Namespace) -> None:
         raise InputError("--name", f"'{name}' is a path", "give a name, and the folder with --out")
     if not 0 <= args.start_time <= _LAST_START:
         raise InputError("--start-time", f"{args.start_time} s", f"give 0 to {_LAST_START}")
+    if args.events == "PointCloud2" and args.start_time < _FIRST_START_OF_CLOUDS:
+        raise InputError(
+            "--start-time",
+            f"{args.start_time} s with --events PointCloud2",
+            f"give {_FIRST_START_OF_CLOUDS} or more",
+        )
     _imu_model(args)  # bad values are refused before the simulation starts
     if args.scene == RANDOM:
         _simulate_random(args, name)
@@ -216,7 +232,14 @@ def _assignments(words: list[str]) -> dict[str, str]:
 
 
 def _write(args: argparse.Namespace, recording: SimulatedRecording, paths: OutputPaths) -> None:
-    imu = write_recording(recording, paths, args.format, imu=_imu_model(args), progress=True)
+    imu = write_recording(
+        recording,
+        paths,
+        args.format,
+        event_type=_EVENT_TYPES[args.events],
+        imu=_imu_model(args),
+        progress=True,
+    )
     rate = len(recording.events) / args.duration / 1e6
     print(f"{len(recording.events)} events ({rate:.2f} Mev/s)")
     bias = ", ".join(f"{value:.2f}" for value in np.degrees(imu.bias))

@@ -195,7 +195,7 @@ def _photo(rng: np.random.Generator) -> Texels:
         data = import_module("skimage.data")
     except ImportError:
         raise InputError(
-            "texture photo", "scikit-image is not installed", "pip install scikit-image"
+            "texture photo", "scikit-image is not installed", "run 'pip install scikit-image'"
         ) from None
     image = np.asarray(getattr(data, name)(), np.float64)
     gray = image.mean(axis=-1) if image.ndim == 3 else image

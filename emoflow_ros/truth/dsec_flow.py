@@ -5,10 +5,10 @@ An image is a 16-bit PNG of x, y and validity (Gehrig et al., 3DV 2021).
 
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -104,12 +104,23 @@ def _number(path: Path) -> int:
     return int(path.stem)
 
 
+def _opencv(path: Path) -> Any:
+    """Import OpenCV for an image."""
+    try:
+        return import_module("cv2")
+    except ImportError:
+        raise InputError(
+            path, "OpenCV is not installed", "run 'pip install opencv-python-headless'"
+        ) from None
+
+
 def read_flow_png(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Read a displacement (H, W, 2) in px, zero where not valid, and where it is valid (H, W).
 
     Raises:
-        InputError: no such file, or not an image of three 16-bit channels.
+        InputError: no such file, not an image of three 16-bit channels, or OpenCV is missing.
     """
+    cv2 = _opencv(path)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
     if image is None:
         raise InputError(path, "missing or damaged", "copy the sequence's flow images again")
@@ -129,7 +140,7 @@ def write_flow_png(path: Path, flow: NDArray[np.floating]) -> None:
     values = np.clip(np.rint(flow * _PER_PX) + _ZERO, 0, _MAX).astype(np.uint16)
     ones = np.ones((*flow.shape[:2], 1), np.uint16)
     rgb = np.concatenate([values, ones], axis=-1)
-    if not cv2.imwrite(str(path), rgb[..., ::-1]):
+    if not _opencv(path).imwrite(str(path), rgb[..., ::-1]):
         raise InputError(path, "cannot be written", "give another --submission")
 
 

@@ -8,9 +8,15 @@ from rosbags.highlevel import AnyReader
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
+from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.factors import draw_factors
-from emoflow_ros.simulation.messages import EVENT_ARRAY, OPTICAL_FRAME, MessageEncoder
+from emoflow_ros.simulation.messages import (
+    EVENT_ARRAY,
+    OPTICAL_FRAME,
+    POINT_CLOUD,
+    MessageEncoder,
+)
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.simulation.recording_files import FORMATS, OutputPaths, write_recording
 from emoflow_ros.simulation.sensor import SensorModel
@@ -98,6 +104,22 @@ def test_event_bytes_are_those_of_the_serialiser(ros1: bool, count: int) -> None
     message = types[EVENT_ARRAY](header, 60, 80, objects)
     serialize = encoder.typestore.serialize_ros1 if ros1 else encoder.typestore.serialize_cdr
     assert encoder.events(7_000_000_008, camera, events) == bytes(serialize(message, EVENT_ARRAY))
+
+
+@pytest.mark.parametrize("bag_format", FORMATS)
+def test_clouds_hold_the_same_events(quiet, bag_format: str, tmp_path) -> None:
+    paths = OutputPaths.within(tmp_path, "cloud", bag_format)
+    write_recording(quiet, paths, bag_format, event_type=POINT_CLOUD)
+    clouds = read(paths.data, "/davis/left/events")
+    assert [stamp(cloud) for _, cloud in clouds] == [
+        quiet.t_start + k * 10_000_000 for k in range(11)
+    ]
+    with open_recording(paths.data) as recording:
+        assert recording.camera == quiet.camera
+        events = Events.concatenate(list(recording.event_chunks()))
+    assert len(events) == len(quiet.events) > 500
+    for name in ("x", "y", "t", "p"):
+        np.testing.assert_array_equal(getattr(events, name), getattr(quiet.events, name))
 
 
 def test_camera_info_and_calibration_file_are_the_camera(quiet, written) -> None:
@@ -205,6 +227,10 @@ def test_executable_overwrites_bags_but_no_other_folder(monkeypatch, capsys, tmp
         (("--seed", "-1"), "--seed: -1; give"),
         (("--name", "a/b"), "--name: 'a/b' is a path; give"),
         (("--start-time", "-5"), "--start-time: -5.0 s; give"),
+        (
+            ("--events", "PointCloud2", "--start-time", "0.5"),
+            "--start-time: 0.5 s with --events PointCloud2; give 1 or more",
+        ),
         (("--imu-noise", "-1"), "--imu-noise: -1.0 is out of range; use 0 to 100"),
         (("--threshold", "0"), "sensor.threshold: on 0.0, off 0.0; give"),
     ],
