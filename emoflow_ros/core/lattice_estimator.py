@@ -1,7 +1,6 @@
 """The real-time estimator: a warm-started lattice fit per window."""
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +27,7 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader
-from emoflow_ros.core.second_look import SecondLook, best_start, distance, fresh_start, is_lost
+from emoflow_ros.core.second_look import SecondLook, best_start, distance, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import PossibleMotions
 
@@ -68,9 +67,7 @@ class LatticeEstimator:
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
-        # The second look knows nothing of the fit, and so runs beside it where a core is free.
         self._second_look = SecondLook(self.lattice, make_contrast, config)
-        self._beside = ThreadPoolExecutor(1, "second_look")
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
@@ -101,8 +98,7 @@ class LatticeEstimator:
         last = self._last
         warm = last is not None and last.reaches(window)
         coarse = self._fit.contrasts[0.25]
-        fresh = fresh_start(coarse, events, self.lattice.shape)
-        looking = self._beside.submit(self._second_look.flow, events, fresh)
+        fresh, looked = self._second_look.begin(events)
         try:
             if warm and last is not None:
                 flows = last.flows(window)
@@ -112,14 +108,14 @@ class LatticeEstimator:
                 self._fit.flow = best_start(coarse, events, flows)
                 stop = self._fit_warm(events, last.predict(self._fit, window))
                 # A cold fit takes longer than any deadline leaves.
-                warm = self._late() or not is_lost(coarse, events, self._fit.flow, fresh)
+                warm = self._late() or not is_lost(coarse, events, self._fit.flow, fresh.result())
             if not warm:
                 self.reset()
                 stop = self._fit_cold(events)
             gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
             if gain < self.config.min_contrast_gain or self._is_confined():
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            apart = distance(looking.result(), self._fit.flow, self._evidence())
+            apart = distance(looked.result(), self._fit.flow, self._evidence())
             change = self._change.measure(events, self._fit.flow)
             quality = self._quality(len(events), stop, gain, warm=warm)
             quality = replace(quality, change_px=change, second_look_px=apart)

@@ -8,6 +8,7 @@ distance follows the probability that the estimate is wrong.
 """
 
 import math
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,18 @@ class SecondLook:
         self._equations = NormalEquations(lattice, 0)
         self._contrasts = {scale: make_contrast(lattice, scale) for scale, _, _ in _STEPS}
         self._config = config
+        self._shape = lattice.shape
+        self._thread = ThreadPoolExecutor(1, "second_look")
+
+    def begin(self, events: WindowEvents) -> tuple[Future[F32], Future[F32]]:
+        """Start in another thread, for the fit to go on meanwhile where a core is free.
+
+        Returns:
+            What `fresh_start` and then `flow` are going to find.
+        """
+        coarse, shape = self._contrasts[_STEPS[0][0]], self._shape
+        fresh = self._thread.submit(fresh_start, coarse, events, shape)
+        return fresh, self._thread.submit(lambda: self.flow(events, fresh.result()))
 
     def flow(self, events: WindowEvents, start: F32) -> F32:
         """Fit the flow (columns, rows, times, 2), px per window.
