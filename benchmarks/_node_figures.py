@@ -31,7 +31,7 @@ class Targets:
     Attributes:
         twists_per_s: at least so many.
         age_p50_ms, age_p95_ms: age of a twist's information, at most.
-        lost: windows without an answer, at most.
+        lost: windows without an answer, and messages, at most.
         longest_run: of dropped windows over the mean run, at most.
     """
 
@@ -84,12 +84,21 @@ class Observed:
     samples: dict[str, list[Sample]] = field(default_factory=dict)
 
 
-def figures(observed: Observed, windows: int, events: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Sent:
+    """How many messages, events and windows a recording has."""
+
+    messages: int
+    events: int
+    windows: int
+
+
+def figures(observed: Observed, sent: Sent) -> dict[str, Any]:
     """Compute everything that is reported of a run.
 
     Args:
         observed: the run.
-        windows, events: how many the recording has.
+        sent: what should have come of it.
 
     Raises:
         InputError: no events came, or the run was too short.
@@ -111,20 +120,34 @@ def figures(observed: Observed, windows: int, events: int) -> dict[str, Any]:
         "replayed_at": float(pace),
         **_twist_figures(observed, begin, end),
         "windows": {
-            "expected": windows,
+            "expected": sent.windows,
             "answered": answered,
             "with a twist": observed.with_covariance,
             "dropped": dropped,
-            "not accounted for": abs(windows - answered - dropped - rest),
+            "not accounted for": abs(counted.get("windows", 0) - answered - dropped - rest),
             "drop runs": drop_runs(observed.statuses),
         },
-        "events": {
-            "sent": events,
-            "miscounted": abs(events - counted.get("events", 0)),
-            "in dropped windows": counted.get("events_dropped", 0),
-        },
+        **_input_figures(counted, sent),
         "processes": usage(observed.samples, float(published[0]), end, float(pace)),
         "diagnostics": observed.diagnostics,
+    }
+
+
+def _input_figures(counted: Mapping[str, int], sent: Sent) -> dict[str, Any]:
+    came, events = (counted.get(name, 0) for name in ("messages", "events"))
+    missing = sent.messages - came
+    return {
+        "messages": {
+            "sent": sent.messages,
+            "lost": missing,
+            "not accounted for": abs(missing - counted.get("seq_gaps", 0)),
+        },
+        "events": {
+            "sent": sent.events,
+            "counted": events,
+            "miscounted": abs(sent.events - events) if missing == 0 else None,
+            "in dropped windows": counted.get("events_dropped", 0),
+        },
     }
 
 
@@ -228,8 +251,9 @@ def rows(name: str, pace: float, targets: Targets, found: Mapping[str, Any]) -> 
         targets: its own ones.
         found: what `figures` returned.
     """
-    windows, events, age = found["windows"], found["events"], found["age_ms"]
+    windows, messages, age = found["windows"], found["messages"], found["age_ms"]
     runs, both = windows["drop runs"], found["processes"]["node + worker"]
+    miscounted = found["events"]["miscounted"]  # not known where messages were lost
     lost = windows["expected"] - windows["answered"]
     even = targets.longest_run if windows["dropped"] else None
     flat = GROWTH_MB_PER_MIN if both["observed_s"] >= MIN_FOR_GROWTH_S else None
@@ -245,7 +269,9 @@ def rows(name: str, pace: float, targets: Targets, found: Mapping[str, Any]) -> 
         Row("windows lost", lost, targets.lost),
         Row("longest run of dropped windows, over the mean", runs["ratio"], even),
         Row("windows not accounted for", windows["not accounted for"], 0),
-        Row("events miscounted", events["miscounted"], 0),
+        Row("messages lost before the node", messages["lost"], targets.lost),
+        Row("messages not accounted for", messages["not accounted for"], 0),
+        Row("events miscounted", miscounted, None if miscounted is None else 0),
         Row("memory of node + worker, MB", both["resident_mb_max"], MEMORY_MB),
         Row("its growth in the later half, MB/min", both["growth_mb_per_min"], flat),
     ]

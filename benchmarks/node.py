@@ -9,7 +9,8 @@ publishes a packet of 1 to 4 ms at its end, and a mark just before it: the recor
 on the clock as the marks say. At a pace of 5 an event is one fifth of the recording's time later
 on the clock, and ages are those on the clock. The first second does not count.
 
-A window is lost if the estimator did not answer it. Resident memory and processor time come from
+A window is lost if the estimator did not answer it. A message is lost if the node's queue was full;
+the node counts it as a gap in `seq`. Resident memory and processor time come from
 /proc. Resident pages that the worker shares with the server it is forked from count in both.
 """
 
@@ -26,7 +27,7 @@ from typing import Any
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from benchmarks._event_loop import Loop, Sensor, simulate_loops, write_loop
-from benchmarks._node_figures import Targets, figures, process_table, rows
+from benchmarks._node_figures import Sent, Targets, figures, process_table, rows
 from benchmarks._rows import lay_out
 from benchmarks._running_node import DOMAIN, replay_through_node
 from emoflow_ros.cli import run
@@ -166,7 +167,8 @@ def _run_case(name: str, case: Case, loop: Loop, seconds: float, folder: Path) -
         bag = Path(temporary) / name
         write_loop(bag, loop, seconds, _LEAD_IN_S * case.pace, progress=True)
         observed = replay_through_node(bag, case.pace)
-    found = figures(observed, loop.windows(seconds, load_config("realtime").window), events)
+    windows = loop.windows(seconds, load_config("realtime").window)
+    found = figures(observed, Sent(loop.size(seconds), events, windows))
     judged = rows(name, case.pace, case.targets, found)
     print(
         f"\n{name}: {loop.camera.width}x{loop.camera.height}, {seconds:g} s of "

@@ -14,6 +14,7 @@ from benchmarks._node_figures import (
     MACHINE,
     Observed,
     Sample,
+    Sent,
     Targets,
     ages_ms,
     drop_runs,
@@ -32,6 +33,7 @@ from msg_adapters import make_decoder
 MS = 1_000_000
 FRAME = 4_096_000  # ns
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+SENT = Sent(messages=2500, events=1000, windows=100)
 POLICY = WindowPolicy(duration_ms=20, stride_ms=10)
 
 
@@ -152,8 +154,11 @@ def observed() -> Observed:
         statuses=["ok"] * 95 + ["dropped"] * 2 + ["no_motion"] + ["dropped"],
         diagnostics={
             "status": "ok",
+            "messages": "2500",
+            "seq_gaps": "0",
             "events": "990",
             "events_dropped": "40",
+            "windows": "100",
             "windows_ok": "95",
             "windows_no_motion": "1",
             "windows_dropped": "3",
@@ -170,7 +175,7 @@ def observed() -> Observed:
 
 
 def test_figures_of_a_run():
-    found = figures(observed(), windows=100, events=1000)
+    found = figures(observed(), SENT)
     assert found["replayed_at"] == pytest.approx(1)
     assert found["twists_per_s"] == pytest.approx(881 / 9)  # of 9 s without the first one
     assert found["longest_gap_ms"] == pytest.approx(200)
@@ -183,7 +188,13 @@ def test_figures_of_a_run():
         "not accounted for": 1,
         "drop runs": {"mean": 1.5, "longest": 2, "ratio": pytest.approx(4 / 3)},
     }
-    assert found["events"] == {"sent": 1000, "miscounted": 10, "in dropped windows": 40}
+    assert found["messages"] == {"sent": 2500, "lost": 0, "not accounted for": 0}
+    assert found["events"] == {
+        "sent": 1000,
+        "counted": 990,
+        "miscounted": 10,
+        "in dropped windows": 40,
+    }
     processes = found["processes"]
     assert processes["node + worker"]["resident_mb_max"] == pytest.approx(430 + 11)
     assert processes["node + worker"]["growth_mb_per_min"] == pytest.approx(60)
@@ -208,7 +219,7 @@ def test_processor_time_is_per_second_of_the_recording():
 
 
 def test_every_figure_of_a_case_is_judged():
-    found = figures(observed(), windows=100, events=1000)
+    found = figures(observed(), SENT)
     targets = Targets(50, age_p50_ms=20, age_p95_ms=45, lost=0, longest_run=3)
     judged = {row.figure: row.verdict for row in rows("fresh", 1, targets, found)}
     assert judged == {
@@ -223,6 +234,8 @@ def test_every_figure_of_a_case_is_judged():
         "fresh: windows lost": "missed",
         "fresh: longest run of dropped windows, over the mean": "met",
         "fresh: windows not accounted for": "missed",
+        "fresh: messages lost before the node": "met",
+        "fresh: messages not accounted for": "met",
         "fresh: events miscounted": "missed",
         "fresh: memory of node + worker, MB": "met",
         "fresh: its growth in the later half, MB/min": "",  # from five minutes on
@@ -231,12 +244,20 @@ def test_every_figure_of_a_case_is_judged():
     assert (slow.at_least, slow.verdict) == (pytest.approx(4.95), "missed")
 
 
+def test_messages_that_the_queue_lost_are_gaps():
+    run = observed()
+    run.diagnostics |= {"messages": "2400", "seq_gaps": "90"}
+    found = figures(run, SENT)
+    assert found["messages"] == {"sent": 2500, "lost": 100, "not accounted for": 10}
+    assert found["events"]["miscounted"] is None  # nobody knows which are missing
+
+
 def test_a_run_that_is_too_short_is_refused():
     with pytest.raises(InputError, match="no events came over DDS"):
-        figures(Observed(), 1, 1)
+        figures(Observed(), SENT)
     short = Observed(marks=[(START, 100.0), (START + MS, 100.5)])
     with pytest.raises(InputError, match=r"--seconds: 0\.5 s of replay"):
-        figures(short, 1, 1)
+        figures(short, SENT)
 
 
 @pytest.mark.parametrize(
