@@ -74,11 +74,13 @@ def _measure(args: argparse.Namespace) -> None:
     failed = []
     for step in steps:
         print(f"\n== {step.name}", flush=True)
+        results(step, args.out).unlink(missing_ok=True)  # those of an earlier run
         if subprocess.run(command(step, args.out, long=args.long), check=False).returncode:
             failed.append(step.name)
     print(f"\n== {(time.monotonic() - began) / 60:.1f} minutes\n")
-    done = [step for step in steps if step.rows and step.name not in failed]
-    print(lay_out([row for step in done for row in read_rows(args.out / f"{step.name}.json")]))
+    # A benchmark that failed at one of its cases has written those before it.
+    there = [path for step in steps if (path := results(step, args.out)).exists()]
+    print(lay_out([row for path in there for row in read_rows(path)]))
     if failed:
         raise InputError(", ".join(failed), "failed", "see the messages above")
 
@@ -86,8 +88,13 @@ def _measure(args: argparse.Namespace) -> None:
 def command(step: Step, out: Path, *, long: bool) -> list[str]:
     """Return the command line of a step."""
     arguments = step.long if long else step.short or ()
-    results = ("--out", str(out / f"{step.name}.json")) if step.rows else ()
-    return [sys.executable, str(_HERE / f"{step.name}.py"), *arguments, *results]
+    into = ("--out", str(results(step, out))) if step.rows else ()
+    return [sys.executable, str(_HERE / f"{step.name}.py"), *arguments, *into]
+
+
+def results(step: Step, out: Path) -> Path:
+    """Return where a step with rows writes them."""
+    return out / f"{step.name}.json"
 
 
 def read_rows(path: Path) -> list[Row]:

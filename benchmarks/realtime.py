@@ -175,11 +175,14 @@ def score(
         cold_seconds[k] = timed(make_estimator(recording.camera, config), windows[k]).seconds
     simulated = SimulatedTruth(recording.truth)
     scores = []
-    for k, (window, (estimate, *seconds)) in enumerate(zip(windows, runs, strict=True)):
+    for k, (window, warm) in enumerate(zip(windows, runs, strict=True)):
+        estimate = warm.estimate
         part = window.since(estimate.t_start)
         result = assess(k, part, estimate, Truth(simulated, simulated))
         nees_w, nees_v = normalised_errors(estimate, result)
-        scores.append(Score(result, *seconds, float(cold_seconds[k]), nees_w, nees_v))
+        scores.append(
+            Score(result, warm.seconds, warm.flow_seconds, float(cold_seconds[k]), nees_w, nees_v)
+        )
     return scores
 
 

@@ -301,6 +301,7 @@ def test_all_benchmarks_are_summed_up_in_one_table(tmp_path, monkeypatch, capsys
         summary.Step("broken", short=("--fail", "1")),
         summary.Step("longest", short=None, long=("--result", "8")),
     )
+    (tmp_path / "broken.json").write_text('{"rows": [{"figure": "speed", "result": 1.0}]}')  # old
     monkeypatch.setattr(summary, "STEPS", steps)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "--out", str(tmp_path)])
     assert summary.main() == 2
