@@ -5,7 +5,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 ENV := set +u; source scripts/env.sh; set -u
 
-.PHONY: help setup messages demo test lint bench accuracy accuracy-compare fuzz soak clean
+.PHONY: help setup messages demo test lint bench bench-long accuracy accuracy-compare fuzz soak clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
@@ -31,12 +31,13 @@ test: messages lint  ## lint, types and all tests but the long ones
 	@$(ENV)
 	python -m pytest --timeout 120 --numprocesses 2 $(PYTEST_ARGS)
 
-bench: messages  ## all of benchmarks/
+bench: messages  ## speed of decoders, estimator, evaluate and node beside their targets, into out/benchmarks/; a quarter of an hour
 	@$(ENV)
-	for benchmark in benchmarks/[a-z]*.py; do
-		echo "== $$benchmark"
-		python "$$benchmark"
-	done
+	python -m benchmarks
+
+bench-long: messages  ## all of benchmarks/ in full, ten minutes of replay and the published loop among them; takes hours
+	@$(ENV)
+	python -m benchmarks --long
 
 accuracy: setup  ## accuracy and honesty over many recordings, into out/accuracy/; ACCURACY_ARGS=--quick: fewer
 	@$(ENV)

@@ -1,4 +1,4 @@
-"""Measure how fast each decoder is on one core, and the memory it needs, as JSON and a table.
+"""Measure how fast each decoder is on one core, and the memory it needs.
 
 The speed is that of the fastest repeat: what other work on the machine does to the others is
 not the decoder's.
@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "msg_adapters"))
 from encoders import COUNT_FROM_TIME_BASE, ENCODERS, payload, synthetic
 from messages import event_array, event_packet, point_cloud
 
+from benchmarks._rows import Row, lay_out
 from emoflow_ros.cli import run
 from emoflow_ros.core.events import Events
 from emoflow_ros.readers.bag_files import open_bag
@@ -74,10 +75,16 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__.splitlines()[0],
-        epilog="example: python benchmarks/decoders.py --seconds 1 > d.json",
+        epilog="example: python benchmarks/decoders.py --seconds 1",
     )
     parser.add_argument("--events", type=int, default=30_000, help="per message (default 30000)")
     parser.add_argument("--seconds", type=float, default=0.5, help="per decoder (default 0.5)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/benchmarks/decoders.json"),
+        help="default: out/benchmarks/decoders.json",
+    )
     return parser
 
 
@@ -92,16 +99,22 @@ def _measure(args: argparse.Namespace) -> None:
         "numpy": np.__version__,
         "numba": numba.__version__,
     }
-    print(json.dumps({"machine": machine, "results": [asdict(r) for r in results]}, indent=2))
-    print(
-        f"{'decoder':<24}{'Mev/s':>8}{'target':>8}{'ev/message':>12}{'memory':>8}", file=sys.stderr
-    )
+    rows = [
+        Row(f"{r.decoder}: million events per second", r.mev_per_s, at_least=r.target)
+        for r in results
+    ]
+    report = {
+        "machine": machine,
+        "results": [asdict(r) for r in results],
+        "rows": [row.as_dict() for row in rows],
+    }
+    print(lay_out(rows))
+    print(f"\n{'decoder':<24}{'ev/message':>12}{'memory':>8}")
     for r in results:
-        print(
-            f"{r.decoder:<24}{r.mev_per_s:>8.0f}{r.target or '-':>8}"
-            f"{r.events_per_message:>12.0f}{r.memory_ratio:>8.2f}",
-            file=sys.stderr,
-        )
+        print(f"{r.decoder:<24}{r.events_per_message:>12.0f}{r.memory_ratio:>8.2f}")
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.write_text(json.dumps(report, indent=2) + "\n")
+    print(f"written to {args.out}")
 
 
 def _events(count: int) -> Events:

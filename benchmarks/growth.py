@@ -23,7 +23,8 @@ from matplotlib.figure import Figure
 from scipy.stats import linregress
 from tqdm import tqdm
 
-from benchmarks._scoring import verdict
+from benchmarks._event_loop import scaled_camera
+from benchmarks._rows import Row, lay_out
 from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
 from emoflow_ros.core.camera import Camera
@@ -135,7 +136,7 @@ def _measure(args: argparse.Namespace) -> None:
         "by_events": [asdict(point) for point in by_events],
         "by_pixels": [asdict(point) for point in by_pixels],
         "lines": {name: asdict(line) for name, line in lines.items()},
-        "target_largest_deviation_percent": LINEAR_PERCENT,
+        "rows": [row(name, line).as_dict() for name, line in lines.items()],
     }
     print(table("events", by_events, lines["events"]))
     print(table("pixels", by_pixels, lines["pixels"]))
@@ -171,13 +172,6 @@ def measure_sizes(sizes: Sequence[tuple[int, int]], windows: int) -> Iterator[Po
         yield _point(f"{width}x{height}", camera, case)
 
 
-def scaled_camera(width: int, height: int) -> Camera:
-    """Build a camera of another size with the DAVIS346's horizontal field of view."""
-    davis = davis346("none")
-    focal = davis.fx * width / davis.width
-    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-
-
 def thinned(window: Window, count: int) -> Window:
     """Keep `count` events, evenly spread over the window's.
 
@@ -198,7 +192,7 @@ def _point(label: str, camera: Camera, windows: Sequence[Window]) -> Point:
         estimator.estimate(window)
     estimator.reset()
     runs = [timed(estimator, window) for window in windows]
-    warm = [1e3 * seconds for estimate, seconds in runs if estimate.quality.warm]
+    warm = [1e3 * run.seconds for run in runs if run.estimate.quality.warm]
     if not warm:
         raise InputError(label, "not one warm window", "give more --windows")
     return Point(
@@ -226,15 +220,18 @@ def table(name: str, points: Sequence[Point], line: Line) -> str:
         f"{p.resident_mib:>7.0f}"
         for p in points
     ]
-    off = line.largest_deviation_percent
     rows += [
         f"line: {line.intercept_ms:.1f} ms + {1e5 * line.slope_ms:.2f} ms per 100 000 {name}, "
         f"R^2 {line.r_squared:.4f}",
-        f"{'':<41}{'target':>9}{'result':>9}",
-        f"{'linear: furthest point off the line, %':<41}{LINEAR_PERCENT:>9.1f}{off:>9.1f}  "
-        f"{verdict(off, LINEAR_PERCENT)}\n",
+        f"{lay_out([row(name, line)])}\n",
     ]
     return "\n".join(rows)
+
+
+def row(name: str, line: Line) -> Row:
+    """Hold a line against its target."""
+    figure = f"growth with {name}: furthest point off the line, %"
+    return Row(figure, line.largest_deviation_percent, LINEAR_PERCENT)
 
 
 def draw(by_events: Sequence[Point], by_pixels: Sequence[Point], lines: dict[str, Line]) -> Figure:

@@ -1,13 +1,17 @@
-"""Measure the running node: sustained replay over DDS, latency, memory and processor time.
+"""Measure the running node: sustained replay over DDS, freshness, memory and processor time.
 
-A simulated recording is written as a bag and replayed with the executable `replay` through the
-executable `estimator`, in processes of their own; this process subscribes. Recordings longer than
-10 s repeat 10 s, each time stamped later: time goes on, the motion jumps at the seams.
+A simulated recording is written as a bag of EVT3 packets and replayed with the executable `replay`
+through the executable `estimator`, in processes of their own on two cores; this process
+subscribes. Each case has its sensor, its rate of events and its pace of the replay.
 
-Latency is from the publication of the message with a window's last event, as DDS stamps it, to
-the reception of the window's twist. A message holds 10 ms of events and is published at their
-end. Resident memory and processor time come from /proc. Resident pages that the worker shares
-with the server it is forked from count in both.
+The age of a twist is the time from its stamp to its publication, as DDS stamps it. `replay`
+publishes a packet of 1 to 4 ms at its end, and a mark just before it: the recording's time passes
+on the clock as the marks say. At a pace of 5 an event is one fifth of the recording's time later
+on the clock, and ages are those on the clock. The first second does not count.
+
+A window is lost if the estimator did not answer it. A message is lost if the node's queue was full;
+the node counts it as a gap in `seq`. Resident memory and processor time come from
+/proc. Resident pages that the worker shares with the server it is forked from count in both.
 """
 
 import argparse
@@ -15,42 +19,81 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rclpy.utilities import get_rmw_implementation_identifier
-from scipy.stats import linregress
 
-from benchmarks._running_node import (
-    DOMAIN,
-    SAMPLE_S,
-    START,
-    Observed,
-    RepeatedRecording,
-    Sample,
-    replay_through_node,
-)
-from benchmarks._scoring import MIN_WINDOWS, SCENES, verdict
+from benchmarks._event_loop import Loop, Sensor, simulate_loops, write_loop
+from benchmarks._node_figures import Sent, Targets, figures, process_table, rows
+from benchmarks._rows import lay_out
+from benchmarks._running_node import DOMAIN, replay_through_node
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
-from emoflow_ros.simulation.messages import MessageEncoder
-from emoflow_ros.simulation.recording import simulate
-from emoflow_ros.simulation.recording_files import write_bag
 
-LONGEST_SIMULATED_S = 10.0
-WARM_UP_WINDOWS = 3  # the first one is cold, the next ones meet what it leaves behind
-MIN_SAMPLES = 3
-MIN_SAMPLES_FOR_GROWTH = 60  # for its target to mean something
+CORES = 2
+_LEAD_IN_S = 2.0  # of the clock: all subscribers find their topics in that time
 
-TARGET_SLOWER_PERCENT = 1.0  # a replay that falls behind makes all else easier
-TARGET_P95_MS = 60.0
-TARGET_MEMORY_MB = 1500.0
-TARGET_GROWTH_MB_PER_MIN = 1.0  # "flat": 10 MB in 10 minutes
+
+@dataclass(frozen=True)
+class Case:
+    """One run.
+
+    Attributes:
+        sensor: whose events they are.
+        targets: what it is held to.
+        pace: of the replay.
+        mev_per_s: million events per second, at most; None: as many as the sensor sees.
+        per_frame: packets per 4.096 ms.
+        seconds, long_seconds: length of the recording, s, and that with --long.
+    """
+
+    sensor: Sensor
+    targets: Targets
+    pace: float = 1.0
+    mev_per_s: float | None = None
+    per_frame: int = 1
+    seconds: float = 60.0
+    long_seconds: float = 600.0
+
+
+_DAVIS346 = Sensor(346, 260, 0.2)
+_VGA = Sensor(640, 480, 0.08)
+_HD = Sensor(1280, 720, 0.06)
+_OVERLOAD = Targets(age_p95_ms=150, longest_run=3)
+CASES = {
+    "fresh": Case(_DAVIS346, Targets(twists_per_s=50, age_p50_ms=30, age_p95_ms=45, lost=0)),
+    "overload-2x": Case(_DAVIS346, _OVERLOAD, pace=2),
+    "overload-5x": Case(_DAVIS346, _OVERLOAD, pace=5),
+    "overload-10x": Case(_DAVIS346, _OVERLOAD, pace=10),
+    "vga": Case(
+        _VGA,
+        Targets(twists_per_s=30, age_p95_ms=80),
+        mev_per_s=10,
+        seconds=20,
+        long_seconds=60,
+    ),
+    "hd": Case(
+        _HD,
+        Targets(twists_per_s=10, age_p95_ms=150, lost=0),
+        mev_per_s=25,
+        per_frame=2,
+        seconds=20,
+        long_seconds=60,
+    ),
+    "hd-50": Case(
+        _HD,
+        Targets(longest_run=3),
+        mev_per_s=50,
+        per_frame=4,
+        seconds=10,
+        long_seconds=30,
+    ),
+}
 
 
 def main() -> int:
@@ -61,197 +104,85 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__,
-        epilog="example, for the memory over 10 minutes (a bag of 12 GB beside --out): "
-        "python benchmarks/node.py --duration 600",
+        epilog="example: python benchmarks/node.py --cases fresh overload-5x --seconds 30",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--scene", default="calm", choices=SCENES, metavar="SCENE", help="default: calm")
-    add("--seed", type=int, default=0, help="default: 0")
-    add("--duration", type=float, default=120.0, metavar="S",
-        help="seconds (default: 120, a bag of 2.4 GB beside --out)")  # fmt: skip
-    add("--rate", type=float, default=1.0, metavar="R", help="pace of the replay (default: 1)")
+    add("--cases", nargs="+", default=CASES, choices=CASES, metavar="CASE",
+        help=f"default: all of {', '.join(CASES)}")  # fmt: skip
+    lengths = parser.add_mutually_exclusive_group()
+    lengths.add_argument("--seconds", type=float, metavar="S", help="recorded, of all cases")
+    lengths.add_argument(
+        "--long", action="store_true", help="ten minutes of 346x260, one of the larger ones"
+    )
     add(
         "--out",
         type=Path,
         default=Path("out/benchmarks/node.json"),
-        help="default: out/benchmarks/node.json",
+        help="default: out/benchmarks/node.json; bags of up to 6 GB lie beside it for a while",
     )
     return parser
 
 
 def _measure(args: argparse.Namespace) -> None:
-    if not 5 <= args.duration <= 3600:
-        raise InputError("--duration", f"{args.duration:g} s", "give a length in [5, 3600] s")
+    if args.seconds is not None and not 5 <= args.seconds <= 3600:
+        raise InputError("--seconds", f"{args.seconds:g} s", "give a length in [5, 3600] s")
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
-    load = os.getloadavg()[0]
-    config = load_config("realtime")
-    seconds = min(args.duration, LONGEST_SIMULATED_S)
-    simulated = simulate(
-        args.scene, duration_s=seconds, seed=args.seed, start_ns=START, progress=True
-    )
-    source = RepeatedRecording(simulated, args.duration)
-    expected = source.windows(config.window)
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=args.out.parent) as folder:
-        bag = Path(folder) / "recording"
-        encoder = MessageEncoder(ros1=False)
-        write_bag(bag, encoder, source.topics(encoder), progress=True)
-        observed = replay_through_node(bag, args.rate)
-    report = {
+    report: dict[str, Any] = {
         "machine": machine(),
-        "load_average_at_start": load,
+        "cores_used": CORES,
+        "load_average_at_start": os.getloadavg()[0],
         "versions": versions(),
         "middleware": get_rmw_implementation_identifier(),
-        "scene": args.scene,
-        "seed": args.seed,
-        "camera": f"{simulated.camera.width}x{simulated.camera.height}",
-        "duration_s": args.duration,
-        "simulated_s": seconds,
-        "rate": args.rate,
-        "configuration": config.flat(),
-        **figures(expected, observed),
+        "configuration": load_config("realtime").flat(),
+        "cases": {},
+        "rows": [],
     }
-    print(table(report))
-    args.out.write_text(json.dumps(report, indent=2) + "\n")
+    print(f"{report['machine']['processor']}, load before {report['load_average_at_start']:.1f}")
+    for sensor in {CASES[name].sensor: None for name in args.cases}:
+        cases = {name: CASES[name] for name in args.cases if CASES[name].sensor == sensor}
+        for name, loop in _loops(sensor, cases).items():
+            case = cases[name]
+            seconds = args.seconds or (case.long_seconds if args.long else case.seconds)
+            found = _run_case(name, case, loop, seconds, args.out.parent)
+            report["cases"][name] = found
+            report["rows"] += found.pop("rows")
+            args.out.write_text(json.dumps(report, indent=2) + "\n")  # what is there is kept
     print(f"written to {args.out}")
 
 
-def figures(expected: Mapping[int, int], observed: Observed) -> dict[str, Any]:
-    """Compute everything that is reported.
+def _loops(sensor: Sensor, cases: Mapping[str, Case]) -> dict[str, Loop]:
+    """Simulate the loops of one sensor's cases; cases with the same events share one."""
+    rates = list(dict.fromkeys((case.mev_per_s, case.per_frame) for case in cases.values()))
+    loops = dict(zip(rates, simulate_loops(sensor, rates, progress=True), strict=True))
+    return {name: loops[case.mev_per_s, case.per_frame] for name, case in cases.items()}
 
-    Args:
-        expected: time of each window's last event by the window's end, ns.
-        observed: one run over these windows.
 
-    Raises:
-        InputError: no events came, or the run was too short.
-    """
-    if len(observed.publications) < 2:
-        raise InputError("replay", "no events came over DDS", "see its message above")
-    (first, began), *_, (last, ended) = observed.publications
-    received = _by_window(expected, observed.twists)
-    latencies = _latencies_ms(expected, observed.publications, received)
-    measured = [ms for ms in latencies[WARM_UP_WINDOWS:] if ms is not None]
-    p50, p95, largest = np.percentile(measured, [50, 95, 100]) if measured else [None] * 3
-    samples = observed.samples
-    both = [
-        Sample(a.time, a.resident_mb + b.resident_mb, a.cpu_s + b.cpu_s)
-        for a, b in zip(samples["node"], samples["worker"], strict=True)
-    ]
+def _run_case(name: str, case: Case, loop: Loop, seconds: float, folder: Path) -> dict[str, Any]:
+    events = loop.events(seconds)
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        bag = Path(temporary) / name
+        write_loop(bag, loop, seconds, _LEAD_IN_S * case.pace, progress=True)
+        observed = replay_through_node(bag, case.pace)
+    windows = loop.windows(seconds, load_config("realtime").window)
+    found = figures(observed, Sent(loop.size(seconds), events, windows))
+    judged = rows(name, case.pace, case.targets, found)
+    print(
+        f"\n{name}: {loop.camera.width}x{loop.camera.height}, {seconds:g} s of "
+        f"{events / seconds / 1e6:.1f} million events per second at {case.pace:g}x\n"
+        f"{lay_out(judged)}\n\n{process_table(found['processes'])}"
+    )
     return {
-        "listening_s": observed.listening_s,
-        "replayed_at": (last - first) / NS_PER_S / (ended - began),
-        "windows": {
-            "expected": len(expected),
-            "estimated": len(received),
-            "dropped": int(observed.diagnostics["windows_dropped"]),
-        },
-        "warm_up_ms": latencies[:WARM_UP_WINDOWS],
-        "latency_ms": {"windows": len(measured), "p50": p50, "p95": p95, "max": largest},
-        "processes": {
-            role: _usage(taken) for role, taken in {"node + worker": both, **samples}.items()
-        },
-        "diagnostics": observed.diagnostics,
+        "camera": f"{loop.camera.width}x{loop.camera.height}",
+        "recorded_s": seconds,
+        "events_per_s": events / seconds,
+        "pace": case.pace,
+        **found,
+        "rows": [row.as_dict() for row in judged],
     }
-
-
-def _by_window(expected: Mapping[int, int], twists: Mapping[int, float]) -> dict[int, float]:
-    """Return the reception of each window's twist by the window's end.
-
-    A twist holds at the middle of the window's latest part, whose length the estimator chooses:
-    not before the middle of the whole window. With strides of at least half a window it belongs
-    to the first window that ends after it.
-    """
-    ends = sorted(expected)
-    owners = np.searchsorted(ends, list(twists), side="right")
-    return {
-        ends[k]: received
-        for k, received in zip(owners, twists.values(), strict=True)
-        if k < len(ends)
-    }
-
-
-def _latencies_ms(
-    expected: Mapping[int, int],
-    publications: Sequence[tuple[int, float]],
-    received: Mapping[int, float],
-) -> list[float | None]:
-    """From each window's last event to its twist; None where one of them did not come."""
-    ends = [last for last, _ in publications]
-    latencies: list[float | None] = []
-    for window, last in expected.items():
-        k = int(np.searchsorted(ends, last))
-        # What came before the subscription is not known, so the first message bounds nothing.
-        known = 0 < k < len(ends) and window in received
-        published = publications[k][1] if known else None
-        latencies.append(None if published is None else 1e3 * (received[window] - published))
-    return latencies
-
-
-def _usage(samples: Sequence[Sample]) -> dict[str, Any]:
-    """Sum up a process; its growth is that of the later half, when all buffers are filled."""
-    if len(samples) < MIN_SAMPLES:
-        raise InputError("--duration", "too short for its memory", "give a longer one")
-    first, last, later = samples[0], samples[-1], samples[len(samples) // 2 :]
-    minutes = [s.time / 60 for s in later]
-    return {
-        "resident_mb_max": max(s.resident_mb for s in samples),
-        "growth_mb_per_min": float(linregress(minutes, [s.resident_mb for s in later]).slope),
-        "cores": (last.cpu_s - first.cpu_s) / (last.time - first.time),
-        "resident_mb": [round(s.resident_mb, 1) for s in samples],
-    }
-
-
-def table(report: Mapping[str, Any]) -> str:
-    """Lay a report out for people, targets and results side by side."""
-    windows, latency, usage = report["windows"], report["latency_ms"], report["processes"]
-    both = usage["node + worker"]
-    long_enough = len(both["resident_mb"]) >= MIN_SAMPLES_FOR_GROWTH
-    flat = TARGET_GROWTH_MB_PER_MIN if long_enough else None
-    slower = 100 * (1 - report["replayed_at"] / report["rate"])
-    rows: list[tuple[str, float | None, float | None]] = [
-        (f"replay slower than {report['rate']:g}x, %", TARGET_SLOWER_PERCENT, slower),
-        ("windows expected", None, windows["expected"]),
-        ("  of these without a twist", 0, windows["expected"] - windows["estimated"]),
-        ("  of these dropped", 0, windows["dropped"]),
-        ("last event to twist, median, ms", None, latency["p50"]),
-        ("last event to twist, 95 %, ms", TARGET_P95_MS, latency["p95"]),
-        ("last event to twist, longest, ms", None, latency["max"]),
-        ("memory of node + worker, MB", TARGET_MEMORY_MB, both["resident_mb_max"]),
-        ("its growth in the later half, MB/min", flat, both["growth_mb_per_min"]),
-    ]
-    lines = [
-        f"{report['scene']}, {report['camera']}, {report['duration_s']:g} s replayed at "
-        f"{report['replayed_at']:.3f}x, {report['machine']['processor']}, load before "
-        f"{report['load_average_at_start']:.1f}",
-        f"\n{'':<38}{'target':>9}{'result':>9}",
-    ]
-    lines += [
-        f"{label:<38}{_number(target):>9}{_number(value):>9}  {verdict(value, target)}".rstrip()
-        for label, target, value in rows
-    ]
-    warm_up = ", ".join(map(_number, report["warm_up_ms"]))
-    lines += [
-        f"not among the latencies: the first {WARM_UP_WINDOWS} windows, {warm_up} ms",
-        f"from the node's start until it listened: {report['listening_s']:.1f} s",
-        f"\n{'process':<16}{'MB':>9}{'MB/min':>9}{'cores':>9}",
-    ]
-    for role, figures in usage.items():
-        keys = ("resident_mb_max", "growth_mb_per_min", "cores")
-        lines.append(f"{role:<16}" + "".join(f"{_number(figures[key]):>9}" for key in keys))
-    if not long_enough:
-        lines.append(f"growth is judged from {MIN_SAMPLES_FOR_GROWTH * SAMPLE_S:g} s on")
-    if windows["expected"] < MIN_WINDOWS:
-        lines.append(f"fewer than {MIN_WINDOWS} windows: a check, not a result")
-    return "\n".join(lines)
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.2f}"
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks._scoring import SCENES, verdict
+from benchmarks._rows import Row, lay_out
+from benchmarks._scoring import SCENES
 from emoflow_ros.cli import run
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
@@ -27,7 +28,7 @@ from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
 
 START = 1_500_000_000_000_000_000
 CORES = 2
-TARGET_FACTOR = 1.0
+TARGET_FACTOR = 3.0
 _COMMAND = "import sys; from emoflow_ros.evaluation.evaluate_command import main; sys.exit(main())"
 
 
@@ -86,6 +87,7 @@ def _measure(args: argparse.Namespace) -> None:
         "configuration": done["configuration"],
         **figures(done, wall, cpu),
     }
+    report["rows"] = [row(report).as_dict()]
     print(table(report))
     args.out.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     print(f"written to {args.out}")
@@ -143,9 +145,13 @@ def figures(done: Mapping[str, Any], wall_s: float, cpu_s: float) -> dict[str, A
     }
 
 
+def row(report: Mapping[str, Any]) -> Row:
+    """Hold a run against its target."""
+    return Row("evaluate: times real time", report["real_time_factor"], at_least=TARGET_FACTOR)
+
+
 def table(report: Mapping[str, Any]) -> str:
     """Lay a report out for people."""
-    factor = report["real_time_factor"]
     lines = [
         f"{report['scene']}, {report['recorded_s']:.1f} s, {report['windows']} windows, "
         f"{report['events'] / 1e6:.1f} million events, files of {report['megabytes']:.0f} MB",
@@ -153,8 +159,7 @@ def table(report: Mapping[str, Any]) -> str:
         f"{report['load_average_at_start']:.1f}; "
         + ", ".join(f"{name} {version}" for name, version in report["versions"].items()),
         "",
-        f"real-time factor of everything    {factor:7.2f}   target above {TARGET_FACTOR:g}: "
-        f"{verdict(-factor, -TARGET_FACTOR)}",
+        lay_out([row(report)]),
         f"  without start and report        {report['real_time_factor_of_run']:7.2f}",
         f"  of the estimator alone          {report['real_time_factor_of_estimator']:7.2f}",
     ]

@@ -17,7 +17,7 @@ import torch
 from torch.optim.optimizer import register_optimizer_step_post_hook
 from tqdm import tqdm
 
-from benchmarks._scoring import verdict
+from benchmarks._rows import verdict
 from emoflow_ros.cli import run
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, Events, Window

@@ -146,7 +146,7 @@ def measure(job: Job, config: Config) -> Cell:
     rows = []
     for index, window in chosen:
         began = time.process_time()
-        estimate, seconds = timed(estimator, window)
+        estimate, seconds, _ = timed(estimator, window)
         cpu_seconds = time.process_time() - began
         rows.append(_row(index, window, estimate, truth, (seconds, cpu_seconds)))
     where = {"machine": machine(), "versions": versions(), "load_average_at_start": load}
