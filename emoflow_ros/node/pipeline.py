@@ -12,6 +12,7 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.event_input import EventInput
@@ -120,7 +121,7 @@ class Pipeline:
         self._settings = settings
         self._outputs.set_scale(settings.node.scale)
         if self._input is not None:
-            self._input.set_policy(settings.config.window)
+            self._input.set_budget(_budget(settings))
 
     def pause(self) -> None:
         """Forget the topic's unfinished window and the windows that wait."""
@@ -145,7 +146,7 @@ class Pipeline:
         self._encoding = ""
         self._input = EventInput(
             topic.type,
-            settings.config.window,
+            _budget(settings),
             timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,
             statistics=self.statistics,
@@ -287,3 +288,7 @@ class Pipeline:
             logger.error(loss.reason, throttle_duration_sec=_THROTTLE_S)
         if loss.task is not None:
             self._outputs.publish_failed(loss.task, loss.reason)
+
+
+def _budget(settings: Settings) -> EventBudget:
+    return EventBudget(settings.config.window, settings.config.estimator.max_events)

@@ -26,6 +26,7 @@ from emoflow_ros.node.tasks import (
     Task,
     unpack,
 )
+from emoflow_ros.node.window_transfer import to_arrays
 from emoflow_ros.node.worker import WARM_UP_CAMERA, WorkerDiedError, WorkerProcess, serve
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
@@ -171,16 +172,16 @@ class Supervisor:
         if cold:
             self._last_twist = -1
         self._epoch = task.epoch
+        interval, columns = to_arrays(window)
         header, arrays = self._request(
             {
                 "kind": "window",
-                "t_start": window.t_start,
-                "t_end": window.t_end,
+                **interval,
                 "cold": cold,
                 "wishes": asdict(job.wishes),
                 "times": self._twist_times(window, job.wishes.twist_rate),
             },
-            _arrays(window),
+            columns,
         )
         if header.get("fatal"):
             self._fail_over(header)
@@ -271,11 +272,3 @@ class Supervisor:
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.end()
-
-
-def _arrays(window: Window) -> Arrays:
-    """Return the columns of a window's events and of its gyro, if there is one."""
-    arrays = {name: getattr(window.events, name) for name in ("x", "y", "t", "p")}
-    if window.gyro is not None:
-        arrays |= {"gyro_t": window.gyro.t, "gyro_w": window.gyro.w}
-    return arrays

@@ -20,7 +20,6 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status, at_middle, sample
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.products import (
     Tracker,
     Tracks,
@@ -30,6 +29,7 @@ from emoflow_ros.core.products import (
 )
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.tasks import Arrays, Channel, Picture, Wishes, pack
+from emoflow_ros.node.window_transfer import from_arrays
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
@@ -186,10 +186,7 @@ class _Worker:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
-        gyro = None
-        if "gyro_t" in arrays:
-            gyro = GyroReadings(arrays.pop("gyro_t"), arrays.pop("gyro_w"))
-        window = Window(header["t_start"], header["t_end"], Events(**arrays), gyro)
+        window = from_arrays(header, arrays)
         estimate = self._estimator.estimate(window)
         if estimate.status is not Status.OK:
             return pack(estimate, [])
