@@ -4,6 +4,7 @@ Where more events come than an estimator uses, the others cost time and memory a
 stays is spread over time, image and polarity as the stream is.
 """
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -65,8 +66,11 @@ class EventBudget:
 
     def bin_at(self, origin: int, t: int) -> tuple[int, int]:
         """Return start and end of the bin that holds time t, ns; `origin` as in `limit_rate`."""
-        start, end = self._edges(origin, t, t)
-        return int(start), int(end)
+        stride, offsets = self.policy.stride_ns, self._offsets
+        strides, within = divmod(t - origin, stride)
+        begin = origin + strides * stride
+        next_one = bisect_right(offsets, within)
+        return begin + offsets[next_one - 1], begin + offsets[next_one]
 
     def bound(self, window: Window) -> Window:
         """Return a window of at most `capacity` events, those of the latest 20 ms before others."""
@@ -88,21 +92,24 @@ class EventBudget:
         return min(_SHORTEST_NS, duration) if self.policy.max_displacement_px > 0 else duration
 
     @cached_property
-    def _offsets(self) -> NDArray[np.int64]:
-        """Edges (M,) of the bins in a stride, from its start, ns: windows start and end at some."""
+    def _offsets(self) -> list[int]:
+        """Edges of the bins in a stride, from its start to its end, ns: windows end at some."""
         stride = self.policy.stride_ns
         corners = sorted({0, self.policy.duration_ns % stride, stride})
-        parts = []
+        edges = [0]
         for a, b in pairwise(corners):
             count = -(-(b - a) // _BIN_NS)
-            parts.append(a + np.arange(count, dtype=np.int64) * (b - a) // count)
-        return np.concatenate(parts)
+            edges += [a + k * (b - a) // count for k in range(1, count + 1)]
+        return edges
 
     def _edges(self, origin: int, first: int, last: int) -> NDArray[np.int64]:
         """Edges (M + 1,) of the M bins that hold the times from first to last, ns."""
+        bounds = self.bin_at(origin, first)
+        if last < bounds[1]:
+            return np.array(bounds)
         stride = self.policy.stride_ns
         strides = np.arange((first - origin) // stride, (last - origin) // stride + 2)
-        edges = (origin + strides[:, None] * stride + self._offsets).ravel()
+        edges = (origin + strides[:, None] * stride + self._offsets[:-1]).ravel()
         begin, end = np.searchsorted(edges, [first, last], side="right")
         return edges[begin - 1 : end + 1]
 
