@@ -24,7 +24,7 @@ _GROWTH = 1.5  # of the ages between which a window is equally dense
 _BLOCK_BITS = 5  # 32 sensor pixels along a side of a block
 _SIDE_BITS = 6  # blocks along a side of the image; beyond 2048 px they are shared
 _STRATA = 2 << 2 * _SIDE_BITS  # blocks, ON and OFF apart
-_CANDIDATES = 4  # times as many as stay are looked at: no more, whatever comes
+_CANDIDATES = 2  # times as many as stay are looked at: no more, whatever comes
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,8 @@ def _candidate(k, step, phase):  # type: ignore[no-untyped-def]
 
     Where among these it lies changes: what repeats in the order of readout is not met in step.
     """
-    return k * step + ((k * 0x9E37 + phase & 0xFFFF) * step >> 16) >> 16
+    first, following = k * step >> 16, (k + 1) * step >> 16
+    return first + ((k * 0x9E37 + phase & 0xFFFF) * (following - first) >> 16)
 
 
 def _column(kind: types.Type) -> types.Array:

