@@ -33,11 +33,10 @@ class EventBudget:
 
     An estimator takes max_events of a window's latest part, as long as the motion allows. So
     the latest 20 ms of a window may hold max_events, and what is older fewer per time, so that
-    every longer part holds max_events as well. Where windows are taken whole, they hold max_events
-    at an even rate.
+    every longer part, and the whole window, holds max_events as well.
 
-    The rate is limited in bins of time of at most 1 ms. All edges of windows are edges of bins, so
-    that a stream and the windows cut from it lose the same events.
+    The rate of a stream is limited in bins of time of at most 1 ms. All edges of windows are edges
+    of bins, so that a stream and the windows cut from it lose the same events.
 
     Args:
         policy: how windows are cut.
@@ -48,8 +47,14 @@ class EventBudget:
     max_events: int
 
     def thin(self, window: Window) -> Window:
-        """Return a window with what stays of its events, the window itself if all do."""
-        return self.bound(replace(window, events=self.limit_rate(window.events, window.t_start)))
+        """Return a window with what stays of its events.
+
+        The rate is limited in windows of the policy's duration: others are not cut from a stream by
+        time, and may hold all they have in a short time.
+        """
+        if window.t_end - window.t_start == self.policy.duration_ns:
+            window = replace(window, events=self.limit_rate(window.events, window.t_start))
+        return self.bound(window)
 
     def limit_rate(self, events: Events, origin: int) -> Events:
         """Return what stays of a stream's events: `events` itself if no bin holds too many.
@@ -61,7 +66,8 @@ class EventBudget:
         if not len(events):
             return events
         edges = self._edges(origin, int(events.t[0]), int(events.t[-1]))
-        limits = np.maximum(self.max_events * np.diff(edges) // self._shortest, 1)
+        shortest = min(_SHORTEST_NS, self.policy.duration_ns)
+        limits = np.maximum(self.max_events * np.diff(edges) // shortest, 1)
         return _thin_pieces(events, np.searchsorted(events.t, edges), limits)
 
     def bin_at(self, origin: int, t: int) -> tuple[int, int]:
@@ -85,11 +91,6 @@ class EventBudget:
     def capacity(self) -> int:
         """Events of a window of the policy's duration at most, once it is thinned."""
         return int(self._ages(self.policy.duration_ns)[1].sum())
-
-    @property
-    def _shortest(self) -> int:
-        duration = self.policy.duration_ns
-        return min(_SHORTEST_NS, duration) if self.policy.max_displacement_px > 0 else duration
 
     @cached_property
     def _offsets(self) -> list[int]:
@@ -122,12 +123,12 @@ class EventBudget:
             Edges (M + 1,) of the ages, ns, the youngest first; the limits (M,) between them.
         """
         edges = {0, length, *range(0, length, self.policy.stride_ns)}
-        age = self._shortest
+        age = shortest = min(_SHORTEST_NS, length)
         while age < length:
             edges.add(age)
             age = int(_GROWTH * age)
         ages = np.array(sorted(edges))
-        limits = self.max_events * np.diff(ages) // np.maximum(ages[:-1], self._shortest)
+        limits = self.max_events * np.diff(ages) // np.maximum(ages[:-1], shortest)
         return ages, np.maximum(limits, 1)
 
 
