@@ -31,8 +31,8 @@ def test_windows_dropped_by_overload_leave_the_next_one_warm(times, part_ms):
     assert memory(end - part_ms, end).reaches(window(later - part_ms, later))
 
 
-def test_silence_of_more_than_a_second_and_a_step_back_start_cold():
+def test_silence_of_more_than_nine_tenths_of_a_second_and_a_step_back_start_cold():
     last = memory(0, 100)
-    assert last.reaches(window(1100, 1200))
-    assert not last.reaches(window(1101, 1201))
+    assert last.reaches(window(1000, 1100))
+    assert not last.reaches(window(1001, 1101))
     assert not last.reaches(window(-50, 99))
