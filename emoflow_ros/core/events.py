@@ -27,19 +27,36 @@ class Events:
         y: (N,) uint16, pixel row.
         t: (N,) int64, time in nanoseconds.
         p: (N,) bool, polarity (True = ON, brighter).
+        stands_for: (N,) uint32, of thinned events how many of the stream each one stands for,
+            itself among them; None: each for itself.
     """
 
     x: NDArray[np.uint16]
     y: NDArray[np.uint16]
     t: NDArray[np.int64]
     p: NDArray[np.bool_]
+    stands_for: NDArray[np.uint32] | None = None
 
     def __len__(self) -> int:
         return len(self.t)
 
     def __getitem__(self, index: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Events":
         """Select events by slice (views), mask or indices (copies)."""
-        return Events(self.x[index], self.y[index], self.t[index], self.p[index])
+        stands_for = None if self.stands_for is None else self.stands_for[index]
+        return Events(self.x[index], self.y[index], self.t[index], self.p[index], stands_for)
+
+    @property
+    def came(self) -> int:
+        """How many events of the stream these stand for: their number, if none were thinned."""
+        return len(self) if self.stands_for is None else int(self.stands_for.sum(dtype=np.int64))
+
+    def first_of_latest(self, count: int) -> int:
+        """Index of the first of the latest events that stand for `count`; 0 if all are fewer."""
+        if self.stands_for is None:
+            return max(0, len(self) - count)
+        place = np.cumsum(self.stands_for, dtype=np.int64)
+        before = self.came - count
+        return int(np.searchsorted(place, before)) + 1 if before > 0 else 0
 
     @staticmethod
     def empty() -> "Events":
@@ -58,11 +75,18 @@ class Events:
             return Events.empty()
         if len(parts) == 1:
             return parts[0]
+        stands_for = None
+        if any(e.stands_for is not None for e in parts):
+            shares = [
+                np.ones(len(e), np.uint32) if e.stands_for is None else e.stands_for for e in parts
+            ]
+            stands_for = np.concatenate(shares)
         return Events(
             np.concatenate([e.x for e in parts]),
             np.concatenate([e.y for e in parts]),
             np.concatenate([e.t for e in parts]),
             np.concatenate([e.p for e in parts]),
+            stands_for,
         )
 
     def inside(self, width: int, height: int) -> NDArray[np.bool_]:
@@ -95,13 +119,6 @@ class Window:
             return self
         events = self.events[int(np.searchsorted(self.events.t, t)) :]
         return replace(self, t_start=t, events=events)
-
-    def thinned(self, most: int) -> "Window":
-        """Return the window with at most so many of its events, evenly chosen in their order."""
-        count = len(self.events)
-        if count <= most:
-            return self
-        return replace(self, events=self.events[np.arange(most) * count // most])
 
     def with_gyro(self, readings: GyroReadings) -> "Window":
         """Return the window with those of a gyro's readings that cover it."""
@@ -168,7 +185,7 @@ class WindowPolicy:
 
 # The slices that the motion of now is estimated from (core.present_motion): length and events.
 SLICE_MS = 60.0
-SLICE_EVENTS = 16_000
+SLICE_EVENTS = 8_000
 
 
 class TimeJumpError(Exception):
@@ -216,8 +233,11 @@ class WindowSlicer:
         self._last = int(events.t[-1])
         if self._start is None:
             self._start = int(events.t[0])
-        self._parts.append(events)
+        self._take(events)
         return self._by_count() if self.policy.count else self._by_time()
+
+    def _take(self, events: Events) -> None:
+        self._parts.append(events)
 
     def _by_time(self) -> list[Window]:
         assert self._start is not None and self._last is not None
@@ -252,44 +272,3 @@ class WindowSlicer:
             first += stride
         self._parts = deque([pending[first:]])
         return windows
-
-
-class DistinctEvents:
-    """A running count of the events in windows of one stream, in the order of the stream.
-
-    Every window holds all events of the stream from its first to its last one. Windows may overlap
-    and may leave gaps; each begins and ends no earlier than the one before it.
-
-    Attributes:
-        count: events in the windows so far, each once.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.start_anew()
-
-    def start_anew(self) -> None:
-        """Take the next window for one of another stream; the count goes on."""
-        self._end: int | None = None  # of the last window, ns
-        self._last = 0  # time of the latest event that is counted, ns
-        self._ties = 0  # counted events of that time
-
-    def add(self, window: Window) -> None:
-        """Count the events of the next window that no window before it held."""
-        t = window.events.t
-        if len(t) == 0:
-            return
-        known = 0
-        if self._end is not None and window.t_start < self._end:
-            before, through = (int(i) for i in np.searchsorted(t, [self._last, self._last + 1]))
-            # Of the events at that time a window by count may have left out the rest.
-            known = min(before + self._ties, through)
-        else:
-            self._ties = 0
-        last = int(t[-1])
-        if known < len(t):
-            ties = len(t) - max(known, int(np.searchsorted(t, last)))
-            self._ties = ties + (self._ties if last == self._last else 0)
-            self._last = last
-        self.count += len(t) - known
-        self._end = window.t_end

@@ -2,17 +2,19 @@
 
 from functools import partial
 
+from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, GyroConfig, require_cuda, require_torch
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.thinning import EventBudget
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
     """Build the estimator that a configuration asks for.
 
-    Only its own libraries are imported: the lattice on the processor needs no torch, the
-    network no numba.
+    Windows that hold more events than the estimator uses are thinned first. Only its own libraries
+    are imported: the lattice on the processor needs no torch.
 
     Raises:
         InputError: the configuration asks for a device, or for PyTorch, that is not there.
@@ -32,7 +34,7 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
         from emoflow_ros.core.second_look import ReliableOnly
 
         estimator = ReliableOnly(estimator, config.estimator.max_doubt)
-    return estimator
+    return BoundedWindows(estimator, EventBudget(config.window, config.estimator.max_events))
 
 
 def _make_lattice_estimator(camera: Camera, config: LatticeConfig, imu: GyroConfig) -> Estimator:

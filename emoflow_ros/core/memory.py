@@ -12,7 +12,8 @@ from emoflow_ros.core.lattice_fit import LatticeFit, MotionPrior
 
 # Shares of the flow's change in a window that may go on: the events decide.
 _EXTRAPOLATIONS = (0.5, 0.0, 1.0, 1.5)
-_MAX_GAP_S = 0.3  # longer silence ends a warm start
+# A longer gap ends a warm start. Dropped windows are such gaps, and a cold start takes longer.
+_MAX_GAP_S = 0.9
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ _EVENTS = 3_000  # are enough at low resolution
 class MotionWindows:
     """Estimates the latest part of each window that the motion allows (an Estimator).
 
-    Events are what edges leave behind per pixel that they move: a part with the events of
+    Events, those that came before any were thinned, are what edges leave behind per pixel that they
+    move: a part with the events of
     `max_displacement_px` pixels, as many as the last part's events and displacement tell, is short
     as soon as the camera is fast, and long when events are few. Its length depends on nothing but
     the windows so far. A part never begins before the one before it, so that the estimates' times
@@ -85,14 +86,14 @@ class MotionWindows:
 
     def _estimate_first(self, window: Window) -> tuple[Estimate, Window]:
         """Estimate a short part; if the motion allows, or shows in, a longer one only, that one."""
-        events = len(window.events)
+        events = window.events.came
         part = window.since(self._choose_start(window, round(_FIRST * events)))
         estimate = self._estimator.estimate(part)
         if estimate.status is Status.OK:
             count = self._next_count(estimate, part, window)
         else:
             count = round(_SECOND * events)
-        if min(count, events) <= _TOO_SHORT * len(part.events):
+        if min(count, events) <= _TOO_SHORT * part.events.came:
             return estimate, part
         self._estimator.reset()
         part = window.since(self._choose_start(window, count))
@@ -100,8 +101,9 @@ class MotionWindows:
 
     def _choose_start(self, window: Window, count: int) -> int:
         """Go back by the number of events, to the window's start or the last part's at most."""
-        first = len(window.events) - max(self._policy.min_count, count)
-        start = int(window.events.t[first]) if first > 0 else window.t_start
+        events = window.events
+        first = min(len(events) - self._policy.min_count, events.first_of_latest(count))
+        start = int(events.t[first]) if first > 0 else window.t_start
         if self._start is not None:
             start = max(start, self._start)
         return min(start, window.t_end - 1)
@@ -113,8 +115,8 @@ class MotionWindows:
             change = estimate.quality.change_px
             if change > 0:  # it grows with the square of the time
                 longer = min(longer, (_CHANGE_PX / change) ** 0.5)
-            return round(len(part.events) * longer)
-        return 0 if part is window else 2 * len(part.events)
+            return round(part.events.came * longer)
+        return 0 if part is window else 2 * part.events.came
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""

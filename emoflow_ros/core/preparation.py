@@ -14,6 +14,7 @@ from emoflow_ros.core.contrast import WindowEvents
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.thinning import spread
 
 _LONGER_SIDE_PX = 346  # that options in pixels are meant for; smaller sensors keep their pixels
 
@@ -98,8 +99,7 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     events = without_flicker(events, *image.sensor.size)
     if len(events) < config.min_events:
         return None
-    if len(events) > config.max_events:
-        events = events[np.arange(config.max_events) * len(events) // config.max_events]
+    events = spread(events, config.max_events)
     s = ((events.t - window.t_start) / (window.t_end - window.t_start)).astype(np.float32)
     if s[9 * len(s) // 10] - s[len(s) // 10] < _SHORTEST_SPREAD:
         return None
@@ -147,11 +147,10 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
         events: on the sensor, of at least 20 ms; shorter ones are returned as they are.
         width, height: of the sensor in pixels.
     """
-    seconds = (events.t - events.t[0]) * 1e-9 if len(events) else np.zeros(0)
-    if not len(events) or seconds[-1] < _SHORTEST_LAMP_S:
+    if not len(events) or (events.t[-1] - events.t[0]) * 1e-9 < _SHORTEST_LAMP_S:
         return events
-    step = max(1, len(events) // _LAMP_SAMPLE)
-    flickers = _flickering_blocks(events[::step], seconds[::step], width, height)
+    some = spread(events, len(events) // max(1, len(events) // _LAMP_SAMPLE))
+    flickers = _flickering_blocks(some, (some.t - some.t[0]) * 1e-9, width, height)
     if not flickers.any():
         return events
     return events[~flickers[_lamp_blocks(events, width)]]

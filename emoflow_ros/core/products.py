@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
 from emoflow_ros.core.events import NS_PER_S, Events, Window
+from emoflow_ros.core.thinning import spread
 
 # A window's tracks are sampled at its start, its end and 7 times in between.
 INSTANTS = 9
@@ -236,12 +237,13 @@ def sharpened_events(
 ) -> NDArray[np.uint8]:
     """Draw the events where the flow carries them at time t (ns).
 
-    Windows of more than 60 000 events are thinned evenly, so that the time this takes is bounded.
+    At most 60 000 events of a window are drawn, spread over it, so that the time this takes is
+    bounded.
 
     Returns:
         (height, width), black without events, white at their 99th percentile per pixel.
     """
-    thinned = Window(window.t_start, window.t_end, _thinned(window.events))
+    thinned = Window(window.t_start, window.t_end, spread(window.events, _MOST_EVENTS))
     counts = warped_counts(thinned, flow, t, width, height)
     white = np.quantile(counts[counts > 0], _WHITE) if counts.any() else 1.0
     return np.rint(np.minimum(counts / white, 1) * 255).astype(np.uint8)
@@ -258,10 +260,6 @@ def warped_counts(
     moved = np.rint(moved[np.isfinite(moved).all(axis=1)]).astype(np.int64)
     x, y = moved[((moved >= 0) & (moved < (width, height))).all(axis=1)].T
     return np.bincount(y * width + x, minlength=width * height).reshape(height, width)
-
-
-def _thinned(events: Events) -> Events:
-    return events[:: -(-len(events) // _MOST_EVENTS)] if len(events) else events
 
 
 def _carried(events: Events, window: Window, flow: FlowSampler, t: int) -> NDArray[np.float64]:

@@ -18,7 +18,8 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.estimate import Estimate, Estimator
-from emoflow_ros.core.events import DistinctEvents, Window
+from emoflow_ros.core.event_count import DistinctEvents
+from emoflow_ros.core.events import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.metrics import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.slicers import Slicer

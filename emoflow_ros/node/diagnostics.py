@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import DistinctEvents
+from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200
@@ -31,8 +31,8 @@ _WARNINGS = {
     "time_jumps": "jumps in event time: the estimation starts anew",
 }
 _ALSO_COUNTED = (
-    *("messages", "events", "events_dropped", "events_outside", "seq_gaps", "internal_errors"),
-    *("windows", "windows_forgotten", "twists_now"),
+    *("messages", "events", "events_thinned", "events_dropped", "events_outside", "seq_gaps"),
+    *("internal_errors", "windows", "windows_forgotten", "twists_now"),
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.

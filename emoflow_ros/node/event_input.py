@@ -3,18 +3,17 @@
 import time
 from collections.abc import Callable
 
+from emoflow_ros.core.bounded_windows import BoundedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import (
     NS_PER_MS,
     NS_PER_S,
-    SLICE_EVENTS,
     Events,
     TimeJumpError,
     Window,
-    WindowPolicy,
-    WindowSlicer,
 )
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
@@ -32,8 +31,8 @@ class EventInput:
 
     Args:
         ros_type: as in `dvs_msgs/msg/EventArray`.
-        policy: how windows are cut.
-        slices: how slices of the newest events are cut; None cuts none.
+        budget: how windows are cut, and how many events they may hold.
+        slices: the same of slices of the newest events; None cuts none.
         timestamps: which time the output is stamped with.
         frame_id: the camera's frame; empty takes that of the messages.
         statistics: counts what comes and what is lost.
@@ -51,8 +50,8 @@ class EventInput:
     def __init__(
         self,
         ros_type: str,
-        policy: WindowPolicy,
-        slices: WindowPolicy | None = None,
+        budget: EventBudget,
+        slices: EventBudget | None = None,
         *,
         timestamps: Timestamps,
         frame_id: str,
@@ -67,8 +66,8 @@ class EventInput:
         self._stamp: int | None = None
         self._last: int | None = None
         self._decoder = make_decoder(ros_type, "cdr")
-        self._slicer = WindowSlicer(policy)
-        self._slices = WindowSlicer(slices) if slices else None
+        self._slicer = BoundedSlicer(budget)
+        self._slices = BoundedSlicer(slices) if slices else None
         self._frame_id = frame_id
         self._statistics = statistics
         self._warn = warn
@@ -95,10 +94,10 @@ class EventInput:
         """Encoding of the last message, as EventPacket names it; empty for types with only one."""
         return self._decoder.statistics.encoding
 
-    def set_policy(self, policy: WindowPolicy) -> None:
-        """Cut later events by this policy; events of an unfinished window are left out."""
-        if policy != self._slicer.policy:
-            self._slicer = WindowSlicer(policy)
+    def set_budget(self, budget: EventBudget) -> None:
+        """Cut and thin later events by this one; events of an unfinished window are left out."""
+        if budget != self._slicer.budget:
+            self._slicer = BoundedSlicer(budget)
 
     def push(self, data: bytes) -> list[Task]:
         """Take one serialised message and return the windows and slices that it completes."""
@@ -112,7 +111,9 @@ class EventInput:
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
         events = self._inside(message)
         received = time.monotonic()
+        before = self._slicer.left_out
         windows = self._slice(events) if len(events) else None
+        self._statistics.counts["events_thinned"] += self._slicer.left_out - before
         self._statistics.add_events(0 if windows is None else len(events))
         if windows is None:
             return []
@@ -122,7 +123,7 @@ class EventInput:
         self._statistics.counts["windows"] += len(windows)
         frame_id = self._frame_id or message.frame_id
         middles = [((w.t_start + w.t_end) // 2, w, False) for w in windows]
-        ends = [(w.t_end, w.thinned(SLICE_EVENTS), True) for w in slices[-1:]]
+        ends = [(w.t_end, w, True) for w in slices[-1:]]
         return [
             Task(w, self.epoch, self._clock.offset(t), frame_id, received, is_slice)
             for t, w, is_slice in middles + ends

@@ -239,7 +239,7 @@ def _estimate_message(estimate: Estimate) -> str:
 
 
 def _lost_values(task: Task, now: int, status: str) -> dict[str, str]:
-    return _window_values(task.stamp, now, status, len(task.window.events))
+    return _window_values(task.stamp, now, status, task.window.events.came)
 
 
 def _window_values(stamp: int, now: int, status: str, events: int) -> dict[str, str]:

@@ -120,7 +120,7 @@ class Pipeline:
         self._settings = settings
         self._outputs.set_scale(settings.node.scale)
         if self._input is not None:
-            self._input.set_policy(settings.config.window)
+            self._input.set_budget(settings.budget)
 
     def pause(self) -> None:
         """Forget the topic's unfinished window and the windows that wait."""
@@ -145,7 +145,7 @@ class Pipeline:
         self._encoding = ""
         self._input = EventInput(
             topic.type,
-            settings.config.window,
+            settings.budget,
             settings.slices,
             timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,

@@ -16,7 +16,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.events import SLICE_MS, WindowPolicy
+from emoflow_ros.core.events import SLICE_EVENTS, SLICE_MS, WindowPolicy
 from emoflow_ros.core.options import (
     OptionInfo,
     option,
@@ -24,6 +24,7 @@ from emoflow_ros.core.options import (
     replace_options,
     unknown_option,
 )
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from msg_adapters import supported_types
 
@@ -211,12 +212,18 @@ class Settings:
     config: Config
 
     @property
-    def slices(self) -> WindowPolicy | None:
+    def budget(self) -> EventBudget:
+        """How windows are cut, and how many events they may hold."""
+        return EventBudget(self.config.window, self.config.estimator.max_events)
+
+    @property
+    def slices(self) -> EventBudget | None:
         """How slices of the newest events are cut for the motion of now; None if not wanted."""
         rate = self.node.output.twist_rate
         if rate == 0 or self.config.method != "lattice":
             return None
-        return WindowPolicy(duration_ms=SLICE_MS, stride_ms=1e3 / rate)
+        policy = WindowPolicy(duration_ms=SLICE_MS, stride_ms=1e3 / rate)
+        return EventBudget(policy, SLICE_EVENTS)
 
     def changed(self, values: Mapping[str, Any]) -> "Settings":
         """Return a copy with the parameters of these names changed.

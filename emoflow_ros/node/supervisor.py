@@ -16,13 +16,9 @@ from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import unpack
 from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Job, Loss, Notice, Outcome, Task
+from emoflow_ros.node.window_transfer import to_arrays
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
-from emoflow_ros.node.worker_process import (
-    SliceFeed,
-    WorkerDiedError,
-    WorkerProcess,
-    window_request,
-)
+from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 
@@ -177,8 +173,10 @@ class Supervisor:
         task, window = job.task, job.task.window
         cold = task.epoch != self._epoch
         self._epoch = task.epoch
-        what, events = window_request(window)
-        header, arrays = self._request(what | {"cold": cold, "wishes": asdict(job.wishes)}, events)
+        interval, columns = to_arrays(window)
+        header, arrays = self._request(
+            {"kind": "window", **interval, "cold": cold, "wishes": asdict(job.wishes)}, columns
+        )
         if header.get("fatal"):
             self._fail_over(header)
             raise WorkerDiedError(f"a window failed: {header['error']}")

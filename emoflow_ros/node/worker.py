@@ -33,6 +33,7 @@ from emoflow_ros.core.products import (
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.channel import Channel, pack, pack_present
 from emoflow_ros.node.tasks import Arrays, Picture, Wishes
+from emoflow_ros.node.window_transfer import from_arrays
 
 if TYPE_CHECKING:
     from emoflow_ros.core.present_motion import PresentMotion
@@ -112,7 +113,7 @@ class _Worker:
             if last is not self._known:
                 present.know(*last)
                 self._known = last
-            return pack_present(present.estimate(_window(header, arrays)))
+            return pack_present(present.estimate(from_arrays(header, arrays)))
         except Exception as error:
             return _describe(error), {}
 
@@ -146,7 +147,7 @@ class _Worker:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
-        window = _window(header, arrays)
+        window = from_arrays(header, arrays)
         estimate = self._estimator.estimate(window)
         answer, values = pack(estimate)
         if estimate.status is Status.OK and not all(
@@ -161,13 +162,6 @@ class _Worker:
         window = window.since(estimate.t_start)
         values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)
         return answer, values
-
-
-def _window(header: dict[str, Any], arrays: Arrays) -> Window:
-    gyro = None
-    if "gyro_t" in arrays:
-        gyro = GyroReadings(arrays.pop("gyro_t"), arrays.pop("gyro_w"))
-    return Window(header["t_start"], header["t_end"], Events(**arrays), gyro)
 
 
 class Painter:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerContext
 from typing import Any
 
-from emoflow_ros.core.events import Window
 from emoflow_ros.node.channel import Channel, unpack_present
 from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Loss, Present, Task
+from emoflow_ros.node.window_transfer import to_arrays
 from emoflow_ros.node.worker import serve
 
 _IDLE_S = 0.1
@@ -158,7 +158,7 @@ class SliceFeed:
             if task is None or worker is None:
                 continue
             try:
-                answer = worker.estimate_slice(*window_request(task.window), self._timeout_s)
+                answer = worker.estimate_slice(*to_arrays(task.window), self._timeout_s)
             except WorkerDiedError:
                 worker.kill()
                 continue
@@ -170,11 +170,3 @@ class SliceFeed:
             self._tell(Loss(f"a slice failed: {header['error']}", worker=False))
         elif present := unpack_present(task, header, arrays):
             self._tell(present)
-
-
-def window_request(window: Window) -> tuple[dict[str, Any], Arrays]:
-    """Build the part of a request that tells a window: header and arrays."""
-    arrays: Arrays = {name: getattr(window.events, name) for name in ("x", "y", "t", "p")}
-    if window.gyro is not None:
-        arrays |= {"gyro_t": window.gyro.t, "gyro_w": window.gyro.w}
-    return {"kind": "window", "t_start": window.t_start, "t_end": window.t_end}, arrays

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.events import DistinctEvents, Events, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.event_count import DistinctEvents
+from emoflow_ros.core.events import Events, Window, WindowPolicy, WindowSlicer
 
 MS = 1_000_000
 

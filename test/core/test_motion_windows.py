@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import Estimate, Quality, Status
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
 from emoflow_ros.core.events import NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
@@ -270,6 +271,13 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
 def test_windows_are_taken_whole_unless_a_bound_is_set():
     all_of_them = {"estimator.max_doubt": 1.0}
     whole = load_config(overrides={"window.max_displacement_px": 0.0, **all_of_them})
-    assert isinstance(make_estimator(CAMERA, whole), LatticeEstimator)
-    assert isinstance(make_estimator(CAMERA, load_config(overrides=all_of_them)), MotionWindows)
-    assert isinstance(make_estimator(CAMERA, load_config()), ReliableOnly)
+    assert isinstance(make_bounded(whole), LatticeEstimator)
+    assert isinstance(make_bounded(load_config(overrides=all_of_them)), MotionWindows)
+    assert isinstance(make_bounded(load_config()), ReliableOnly)
+
+
+def make_bounded(config: Config) -> Estimator:
+    """Return what is inside the estimator that bounds the windows' events."""
+    estimator = make_estimator(CAMERA, config)
+    assert isinstance(estimator, BoundedWindows)
+    return estimator._estimator

@@ -8,11 +8,12 @@ import pytest
 
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, PresentTwist, Status
-from emoflow_ros.core.events import NS_PER_MS, SLICE_EVENTS, SLICE_MS, Window, WindowSlicer
+from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, Window, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.core.thinning import spread
 from emoflow_ros.simulation.recording import SimulatedRecording
 from emoflow_ros.simulation.simulate import simulate
 
@@ -32,7 +33,7 @@ class Run:
     def slice(self, t_end: int) -> Window:
         events = self.recording.events
         first, last = np.searchsorted(events.t, [t_end - SLICE_NS, t_end])
-        return Window(t_end - SLICE_NS, t_end, events[first:last]).thinned(SLICE_EVENTS)
+        return Window(t_end - SLICE_NS, t_end, events[first:last])
 
     def present(self) -> PresentMotion:
         return PresentMotion(self.recording.camera, CONFIG.estimator)
@@ -169,5 +170,5 @@ def test_few_events_tell_nothing_of_now() -> None:
     present = its.present()
     present.know(estimate)
     window = its.slice(estimate.t_end + LATE_NS)
-    assert present.estimate(window.thinned(3_000)) is not None
-    assert present.estimate(window.thinned(250)) is None
+    assert present.estimate(replace(window, events=spread(window.events, 3_000))) is not None
+    assert present.estimate(replace(window, events=spread(window.events, 250))) is None

@@ -7,6 +7,7 @@ import pytest
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.events import Events, WindowPolicy
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.simulation.messages import EVENT_ARRAY, MessageEncoder
@@ -24,7 +25,7 @@ class Bench:
         self.warnings: list[str] = []
         self.input = EventInput(
             EVENT_ARRAY,
-            WindowPolicy(duration_ms=10.0),
+            EventBudget(WindowPolicy(duration_ms=10.0), 30_000),
             **{
                 "timestamps": Timestamps.FUSED,
                 "frame_id": "",
@@ -140,14 +141,14 @@ def test_malformed_message_is_counted_and_said(bench: Bench) -> None:
 
 def test_new_policy_cuts_from_the_next_event_on(bench: Bench) -> None:
     bench.push(1000, 1004)
-    bench.input.set_policy(WindowPolicy(duration_ms=2.0))
+    bench.input.set_budget(EventBudget(WindowPolicy(duration_ms=2.0), 30_000))
     [task] = bench.push(1005, 1008)
     assert (task.window.t_start, task.window.t_end) == (1005 * MS, 1007 * MS)
 
 
 def test_same_policy_does_not_lose_the_unfinished_window(bench: Bench) -> None:
     bench.push(1000, 1004)
-    bench.input.set_policy(WindowPolicy(duration_ms=10.0))
+    bench.input.set_budget(EventBudget(WindowPolicy(duration_ms=10.0), 30_000))
     [task] = bench.push(1012)
     assert len(task.window.events) == 2
 
@@ -199,7 +200,7 @@ def test_encoding_is_known_from_the_first_packet(bench: Bench) -> None:
     assert bench.input.encoding == ""  # EventArray has one only
     packets = EventInput(
         "event_camera_msgs/msg/EventPacket",
-        WindowPolicy(duration_ms=10.0),
+        EventBudget(WindowPolicy(duration_ms=10.0), 30_000),
         timestamps=Timestamps.FUSED,
         frame_id="",
         statistics=bench.statistics,

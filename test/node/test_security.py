@@ -17,6 +17,7 @@ from emoflow_ros.core.camera import MAX_PIXELS, Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.events import WindowPolicy
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import Channel
 from emoflow_ros.node.diagnostics import Statistics
@@ -125,7 +126,7 @@ def test_message_beyond_the_bound_is_left_out_unread() -> None:
     warnings: list[str] = []
     events = EventInput(
         EVENT_ARRAY,
-        WindowPolicy(),
+        EventBudget(WindowPolicy(), 30_000),
         timestamps=Timestamps.FUSED,
         frame_id="",
         statistics=statistics,

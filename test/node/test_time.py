@@ -13,6 +13,7 @@ from messages import event_packet
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.events import Events, WindowPolicy
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.tasks import Task
@@ -37,7 +38,7 @@ class Stream:
         self.warnings: list[str] = []
         self.input = EventInput(
             ros_type,
-            WindowPolicy(duration_ms=10.0),
+            EventBudget(WindowPolicy(duration_ms=10.0), 30_000),
             timestamps=timestamps,
             frame_id="",
             statistics=self.statistics,

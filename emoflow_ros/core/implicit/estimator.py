@@ -103,7 +103,8 @@ class ImplicitEstimator:
         if len(events) <= self._config.max_events:
             return events
         draw = np.random.default_rng(self._config.seed)
-        chosen = draw.choice(len(events), self._config.max_events, replace=False)
+        share = None if events.stands_for is None else events.stands_for / events.came
+        chosen = draw.choice(len(events), self._config.max_events, replace=False, p=share)
         return events[np.sort(chosen)]
 
     def _problem(self, window: Window, events: Events) -> Problem:

@@ -1,0 +1,95 @@
+"""Windows that hold no more events than an estimator uses, from a stream or one by one."""
+
+from collections import deque
+
+import numpy as np
+
+from emoflow_ros.core.estimate import Estimate, Estimator
+from emoflow_ros.core.events import Events, Window, WindowSlicer
+from emoflow_ros.core.thinning import EventBudget
+
+
+class BoundedSlicer(WindowSlicer):
+    """Cut a stream into thinned windows; the events that are left out are not kept meanwhile.
+
+    The windows are those of `WindowSlicer`, thinned by `EventBudget.thin`, however the stream is
+    cut into messages. Windows by count hold as many events as the policy says and are not thinned.
+
+    Args:
+        budget: with the window policy.
+
+    Attributes:
+        left_out: events that were left out as soon as they came.
+    """
+
+    def __init__(self, budget: EventBudget) -> None:
+        self.budget = budget
+        self.left_out = 0
+        super().__init__(budget.policy)
+
+    def reset(self) -> None:
+        """Forget everything but the count, for example after a jump in time."""
+        super().reset()
+        self._done: int | None = None  # bins before this time are thinned, ns
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events of the stream and return the windows they complete.
+
+        Raises:
+            TimeJumpError: as of `WindowSlicer`.
+        """
+        windows = super().push(events)
+        if self.policy.count or not windows:
+            return windows
+        rest = Events.concatenate(self._parts)
+        thinned = int(np.searchsorted(rest.t, self._done or 0))
+        self._parts = deque([rest[:thinned], rest[thinned:]])
+        return [self.budget.bound(window) for window in windows]
+
+    def _take(self, events: Events) -> None:
+        if not self.policy.count:
+            assert self._start is not None and self._last is not None
+            if self._done is None:
+                self._done = self._start
+            edge, _ = self.budget.bin_at(self._start, self._last)
+            if edge > self._done:
+                events = self._thin(events, self._start, self._done, edge)
+                self._done = edge
+        super()._take(events)
+
+    def _thin(self, events: Events, origin: int, done: int, edge: int) -> Events:
+        """Thin what lies in the bins from `done` to `edge`; return the events after them.
+
+        Only the first of these bins has events from before; the others are not copied.
+        """
+        begun: deque[Events] = deque()
+        while self._parts and (not len(self._parts[-1]) or self._parts[-1].t[-1] >= done):
+            begun.appendleft(self._parts.pop())
+        _, end_of_first = self.budget.bin_at(origin, done)
+        first, ended = (int(i) for i in np.searchsorted(events.t, [end_of_first, edge]))
+        for part in (Events.concatenate([*begun, events[:first]]), events[first:ended]):
+            stay = self.budget.limit_rate(part, origin)
+            self.left_out += len(part) - len(stay)
+            self._parts.append(stay)
+        return events[ended:]
+
+
+class BoundedWindows:
+    """Thins windows before they are estimated, as the node does before it sends them.
+
+    Args:
+        estimator: of the thinned windows.
+        budget: how many events they may hold.
+    """
+
+    def __init__(self, estimator: Estimator, budget: EventBudget) -> None:
+        self._estimator = estimator
+        self._budget = budget
+
+    def reset(self) -> None:
+        """Forget previous windows: the next one starts cold."""
+        self._estimator.reset()
+
+    def estimate(self, window: Window) -> Estimate:
+        """Fit flow and egomotion to what stays of a window."""
+        return self._estimator.estimate(self._budget.thin(window))

@@ -1,0 +1,253 @@
+"""Thinning: how many events a window may hold, and which of them stay where more come.
+
+Where more events come than an estimator uses, the others cost time and memory and say nothing. What
+stays is spread over time, image and polarity as the stream is.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
+
+from emoflow_ros.core.events import NS_PER_MS, Events, Window, WindowPolicy
+
+_BIN_NS = NS_PER_MS  # at most; within it, the order of time is not kept even
+# Fast motion takes parts of a window that are shorter than the rest. Those down to this length hold
+# max_events events, where so many come.
+_SHORTEST_NS = 20 * NS_PER_MS
+_GROWTH = 1.5  # of the ages between which a window is equally dense
+
+_BLOCK_BITS = 5  # 32 sensor pixels along a side of a block
+_SIDE_BITS = 6  # blocks along a side of the image; beyond 2048 px they are shared
+_STRATA = 2 << 2 * _SIDE_BITS  # blocks, ON and OFF apart
+_CANDIDATES = 2  # times as many as stay are looked at: no more, whatever comes
+
+
+@dataclass(frozen=True)
+class EventBudget:
+    """How many events a stream may have per time, and a window as a whole.
+
+    An estimator takes max_events of a window's latest part, as long as the motion allows. So
+    the latest 20 ms of a window may hold max_events, and what is older fewer per time, so that
+    every longer part, and the whole window, holds max_events as well.
+
+    The rate of a stream is limited in bins of time of at most 1 ms. All edges of windows are edges
+    of bins, so that a stream and the windows cut from it lose the same events.
+
+    Args:
+        policy: how windows are cut.
+        max_events: that an estimator takes of a window.
+    """
+
+    policy: WindowPolicy
+    max_events: int
+
+    def thin(self, window: Window) -> Window:
+        """Return a window with what stays of its events.
+
+        The rate is limited in windows of the policy's duration: others are not cut from a stream by
+        time, and may hold all they have in a short time.
+        """
+        if window.t_end - window.t_start == self.policy.duration_ns:
+            window = replace(window, events=self.limit_rate(window.events, window.t_start))
+        return self.bound(window)
+
+    def limit_rate(self, events: Events, origin: int) -> Events:
+        """Return what stays of a stream's events: `events` itself if no bin holds too many.
+
+        Args:
+            events: all events of the bins that they lie in.
+            origin: the start of any window of the stream, ns.
+        """
+        if not len(events):
+            return events
+        edges = self._edges(origin, int(events.t[0]), int(events.t[-1]))
+        shortest = min(_SHORTEST_NS, self.policy.duration_ns)
+        limits = np.maximum(self.max_events * np.diff(edges) // shortest, 1)
+        return _thin_pieces(events, np.searchsorted(events.t, edges), limits)
+
+    def bin_at(self, origin: int, t: int) -> tuple[int, int]:
+        """Return start and end of the bin that holds time t, ns; `origin` as in `limit_rate`."""
+        stride, offsets = self.policy.stride_ns, self._offsets
+        strides, within = divmod(t - origin, stride)
+        begin = origin + strides * stride
+        next_one = bisect_right(offsets, within)
+        return begin + offsets[next_one - 1], begin + offsets[next_one]
+
+    def bound(self, window: Window) -> Window:
+        """Return a window of at most `capacity` events, those of the latest 20 ms before others."""
+        ages, limits = self._ages(window.t_end - window.t_start)
+        if len(window.events) <= limits.sum():
+            return window
+        bounds = np.searchsorted(window.events.t, window.t_end - ages[::-1])
+        bounds[-1] = len(window.events)  # of a window by count, which has some at its end
+        return replace(window, events=_thin_pieces(window.events, bounds, limits[::-1]))
+
+    @property
+    def capacity(self) -> int:
+        """Events of a window of the policy's duration at most, once it is thinned."""
+        return int(self._ages(self.policy.duration_ns)[1].sum())
+
+    @cached_property
+    def _offsets(self) -> list[int]:
+        """Edges of the bins in a stride, from its start to its end, ns: windows end at some."""
+        stride = self.policy.stride_ns
+        corners = sorted({0, self.policy.duration_ns % stride, stride})
+        edges = [0]
+        for a, b in pairwise(corners):
+            count = -(-(b - a) // _BIN_NS)
+            edges += [a + k * (b - a) // count for k in range(1, count + 1)]
+        return edges
+
+    def _edges(self, origin: int, first: int, last: int) -> NDArray[np.int64]:
+        """Edges (M + 1,) of the M bins that hold the times from first to last, ns."""
+        bounds = self.bin_at(origin, first)
+        if last < bounds[1]:
+            return np.array(bounds)
+        stride = self.policy.stride_ns
+        strides = np.arange((first - origin) // stride, (last - origin) // stride + 2)
+        edges = (origin + strides[:, None] * stride + self._offsets[:-1]).ravel()
+        begin, end = np.searchsorted(edges, [first, last], side="right")
+        return edges[begin - 1 : end + 1]
+
+    def _ages(self, length: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Say how many of a window's events may be how old at its end.
+
+        Windows that overlap share the edges at whole strides, so that what they count adds up.
+
+        Returns:
+            Edges (M + 1,) of the ages, ns, the youngest first; the limits (M,) between them.
+        """
+        edges = {0, length, *range(0, length, self.policy.stride_ns)}
+        age = shortest = min(_SHORTEST_NS, length)
+        while age < length:
+            edges.add(age)
+            age = int(_GROWTH * age)
+        ages = np.array(sorted(edges))
+        limits = self.max_events * np.diff(ages) // np.maximum(ages[:-1], shortest)
+        return ages, np.maximum(limits, 1)
+
+
+def spread(events: Events, count: int) -> Events:
+    """Return at most `count` events, spread over time as those of the stream are.
+
+    Events of a thinned stream are taken where the stream has them: a step of the stream that none
+    but one stands for gives that one.
+    """
+    if events.stands_for is None:
+        if len(events) <= count:
+            return events
+        return events[np.arange(count) * len(events) // count]
+    place = np.cumsum(events.stands_for, dtype=np.int64)
+    steps = np.searchsorted(place, np.arange(count) * place[-1] // count, side="right")
+    return events[steps[np.diff(steps, prepend=-1) > 0]]
+
+
+def _thin_pieces(events: Events, bounds: NDArray[np.intp], limits: NDArray[np.int64]) -> Events:
+    """Thin the pieces between bounds (M + 1,) that hold more than their limits (M,)."""
+    over = np.flatnonzero(np.diff(bounds) > limits)
+    if not len(over):
+        return events
+    parts = []
+    done = int(bounds[0])
+    for i in over:
+        begin, end = int(bounds[i]), int(bounds[i + 1])
+        parts += [events[done:begin], _thin_evenly(events[begin:end], int(limits[i]))]
+        done = end
+    parts.append(events[done : int(bounds[-1])])
+    return Events.concatenate([part for part in parts if len(part)])
+
+
+def _thin_evenly(events: Events, count: int) -> Events:
+    """Return `count` of more events, every n-th of each block of the image, ON and OFF apart.
+
+    Each stands for as many events as the others do. Events that stand for many are at most taken
+    once, so that there may be fewer.
+    """
+    one_each = events.stands_for is None
+    weights = np.ones(1, np.uint32) if events.stands_for is None else events.stands_for
+    x, y, p = (np.ascontiguousarray(a) for a in (events.x, events.y, events.p))
+    chosen = np.empty(count, np.intp)
+    candidates = min(len(events), _CANDIDATES * count)
+    # Where the count begins changes from piece to piece, or a block of few events always lost them.
+    phase = (int(events.t[0]) * 0x9E3779B1) % 2**32
+    number = _choose(x, y, p, np.ascontiguousarray(weights), one_each, candidates, phase, chosen)
+    kept = events[chosen[:number]]
+    shares = np.diff(np.arange(number + 1) * events.came // number).astype(np.uint32)
+    return replace(kept, stands_for=shares)
+
+
+def _places() -> NDArray[np.uint16]:
+    """Places of the image's blocks by row and column, one after another by quarters of quarters."""
+    number = np.arange(1 << _SIDE_BITS)
+    bits = [(number >> k & 1) << 2 * k for k in range(_SIDE_BITS)]
+    apart = np.sum(bits, axis=0)
+    return (2 * apart[:, None] + apart).astype(np.uint16)
+
+
+_PLACES = _places()
+
+
+@njit(types.int64(types.int64, types.int64, types.int64), inline="always")
+def _candidate(k, step, phase):  # type: ignore[no-untyped-def]
+    """Index of the k-th candidate: one of each `step` events (in 65536ths of an event).
+
+    Where among these it lies changes: what repeats in the order of readout is not met in step.
+    """
+    first, following = k * step >> 16, (k + 1) * step >> 16
+    return first + ((k * 0x9E37 + phase & 0xFFFF) * (following - first) >> 16)
+
+
+def _column(kind: types.Type) -> types.Array:
+    return types.Array(kind, 1, "C", readonly=True)
+
+
+@njit(
+    types.intp(
+        _column(types.uint16), _column(types.uint16), _column(types.boolean),
+        _column(types.uint32), types.boolean, types.int64, types.int64, types.intp[::1],
+    ),
+    cache=True,
+    nogil=True,
+)  # fmt: skip
+def _choose(x, y, p, weights, one_each, candidates, phase, chosen):  # type: ignore[no-untyped-def]
+    """Write the indices of evenly spread events into `chosen`, in order; return their number.
+
+    The candidates, block after block and OFF before ON, are a line, of which each takes as much as
+    it stands for. Where the line is cut into len(chosen) equal pieces, one is taken. Each block
+    knows where on the line it begins, so that the candidates need not be sorted.
+    """
+    count = len(chosen)
+    step = (len(x) << 16) // candidates
+    mask = (1 << _SIDE_BITS) - 1
+    blocks = np.empty(candidates, np.uint16)
+    rest = np.zeros(_STRATA, np.int64)
+    total = 0
+    for k in range(candidates):
+        i = _candidate(k, step, phase)
+        place = _PLACES[(y[i] >> _BLOCK_BITS) & mask, (x[i] >> _BLOCK_BITS) & mask]
+        blocks[k] = place + (_STRATA >> 1 if p[i] else 0)
+        weight = 1 if one_each else weights[i]
+        rest[blocks[k]] += weight
+        total += weight
+    begin = phase * total >> 32
+    for block in range(_STRATA):
+        length = rest[block]
+        rest[block] = begin
+        if length:
+            begin = (begin + length * count) % total
+    number = 0
+    for k in range(candidates):
+        i, block = _candidate(k, step, phase), blocks[k]
+        rest[block] += count if one_each else weights[i] * count
+        if rest[block] >= total:
+            rest[block] -= total
+            if rest[block] >= total:  # it stands for many
+                rest[block] %= total
+            chosen[number] = i
+            number += 1
+    return number
