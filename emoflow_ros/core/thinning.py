@@ -18,7 +18,7 @@ from emoflow_ros.core.events import NS_PER_MS, Events, Window, WindowPolicy
 _BIN_NS = NS_PER_MS  # at most; within it, the order of time is not kept even
 # Fast motion takes parts of a window that are shorter than the rest. Those down to this length hold
 # max_events events, where so many come.
-_SHORTEST_NS = 20 * NS_PER_MS
+_SHORTEST_NS = 10 * NS_PER_MS
 _GROWTH = 1.5  # of the ages between which a window is equally dense
 
 _BLOCK_BITS = 5  # 32 sensor pixels along a side of a block
@@ -32,7 +32,7 @@ class EventBudget:
     """How many events a stream may have per time, and a window as a whole.
 
     An estimator takes max_events of a window's latest part, as long as the motion allows. So
-    the latest 20 ms of a window may hold max_events, and what is older fewer per time, so that
+    the latest 10 ms of a window may hold max_events, and what is older fewer per time, so that
     every longer part, and the whole window, holds max_events as well.
 
     The rate of a stream is limited in bins of time of at most 1 ms. All edges of windows are edges
@@ -79,7 +79,7 @@ class EventBudget:
         return begin + offsets[next_one - 1], begin + offsets[next_one]
 
     def bound(self, window: Window) -> Window:
-        """Return a window of at most `capacity` events, those of the latest 20 ms before others."""
+        """Return a window of at most `capacity` events, those of the latest 10 ms before others."""
         ages, limits = self._ages(window.t_end - window.t_start)
         if len(window.events) <= limits.sum():
             return window

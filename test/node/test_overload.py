@@ -22,7 +22,6 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import at_middle
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.pipeline import Pipeline
@@ -49,7 +48,11 @@ class Overload:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, service_ms: float, **changes: float):
         supervisors = install_fake_supervisor(monkeypatch)
         self.node = FakeNode()
-        options = {"window.duration_ms": float(DURATION_MS), "window.stride_ms": float(STRIDE_MS)}
+        options = {
+            "window.duration_ms": float(DURATION_MS),
+            "window.stride_ms": float(STRIDE_MS),
+            "output.twist_rate": 0.0,
+        }
         changed = {name.replace("__", "."): value for name, value in changes.items()}
         self.settings = Settings(NodeOptions(), load_config()).changed({**options, **changed})
         self.pipeline = Pipeline(
@@ -81,7 +84,7 @@ class Overload:
             self._free_ms = now_ms + self._service_ms
             self.done.append((job, job.task.window.t_end / MS, self._free_ms))
             estimate = Recorder(job.camera, job.config).estimate(job.task.window)
-            self.supervisor.outcomes.put(Result(job.task, estimate, (at_middle(estimate),)))
+            self.supervisor.outcomes.put(Result(job.task, estimate))
 
     @property
     def counts(self) -> Counter[str]:

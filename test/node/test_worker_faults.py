@@ -272,7 +272,7 @@ def test_slice_that_fails_costs_neither_a_window_nor_the_worker(
 
 
 def test_worker_that_does_not_answer_a_slice_is_replaced(bench: Callable[..., Bench]) -> None:
-    b = bench("Trackless", timeout_s=1.0)
+    b = bench("Trackless", timeout_s=3.0)
     b.put(t=1000)
     b.result()
     assert b.supervisor.pid is not None
