@@ -183,9 +183,10 @@ class WindowPolicy:
             )
 
 
-# The slices that the motion of now is estimated from (core.present_motion): length and events.
+# The slices that the motion of now is estimated from (core.present_motion): their length, and the
+# events that their latest 10 ms may hold (core.thinning).
 SLICE_MS = 60.0
-SLICE_EVENTS = 8_000
+SLICE_EVENTS = 4_000
 
 
 class TimeJumpError(Exception):

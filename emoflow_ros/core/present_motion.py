@@ -23,7 +23,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import Contrast, WindowEvents
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Status, Twist
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_EVENTS, Window
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
 from emoflow_ros.core.lattice import Lattice
@@ -35,6 +35,7 @@ from emoflow_ros.core.uncertainty import without_travel
 Array = NDArray[np.float64]
 
 _LONGEST_NS = 300 * NS_PER_MS  # from the last estimate's time to now
+_EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
 _SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
 _STEPS = 3
@@ -73,7 +74,7 @@ class PresentMotion:
     """
 
     def __init__(self, camera: Camera, config: LatticeConfig) -> None:
-        self._config = replace(config, min_events=_FEWEST_EVENTS, max_events=SLICE_EVENTS)
+        self._config = replace(config, min_events=_FEWEST_EVENTS, max_events=_EVENTS)
         self._image = WorkingImage.of(camera)
         self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
