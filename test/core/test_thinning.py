@@ -44,15 +44,15 @@ def numbers(events: Events, among: Events) -> np.ndarray:
 
 
 def test_what_is_within_the_budget_stays_as_it_is():
-    few = window(noise(9000))
-    assert BUDGET.capacity > 9000
+    few = window(noise(11_000))
+    assert BUDGET.capacity > 11_000
     thinned = BUDGET.thin(few)
     assert thinned.events is few.events
     assert thinned.events.stands_for is None
 
 
 @pytest.mark.parametrize("budget", [BUDGET, WHOLE], ids=["parts", "whole"])
-@pytest.mark.parametrize("count", [13_000, 17_000, 20_000, 300_000])
+@pytest.mark.parametrize("count", [20_000, 26_000, 34_000, 300_000])
 def test_a_window_holds_no_more_than_the_capacity_and_says_how_many_came(budget, count):
     length = budget.policy.duration_ms
     events = noise(count, length)
@@ -63,14 +63,14 @@ def test_a_window_holds_no_more_than_the_capacity_and_says_how_many_came(budget,
 
 
 def test_the_capacity_is_a_few_times_what_an_estimator_takes():
-    assert BUDGET.capacity <= 3.5 * 3000
-    assert WHOLE.capacity <= 3.5 * 3000
-    assert EventBudget(WindowPolicy(duration_ms=20.0), 3000).capacity == 3000
+    assert BUDGET.capacity <= 4.2 * 3000
+    assert WHOLE.capacity <= 3.7 * 3000
+    assert EventBudget(WindowPolicy(duration_ms=10.0), 3000).capacity == 3000
     assert EventBudget(POLICY, 30_000).capacity == pytest.approx(10 * BUDGET.capacity, rel=0.01)
 
 
-@pytest.mark.parametrize("part_ms", [20, 25, 30, 45, 60, 90, 100, 135])
-def test_every_latest_part_of_20_ms_and_more_holds_what_an_estimator_takes(part_ms):
+@pytest.mark.parametrize("part_ms", [10, 15, 20, 25, 30, 45, 60, 90, 100, 135])
+def test_every_latest_part_of_10_ms_and_more_holds_what_an_estimator_takes(part_ms):
     thinned = BUDGET.thin(window(noise(300_000)))
     part = thinned.since(thinned.t_end - part_ms * MS).events
     assert len(part) >= 0.99 * 3000
@@ -100,8 +100,8 @@ def test_bursts_lose_most_and_the_count_in_every_millisecond_stays_right():
     stands = np.histogram(thinned.t, edges, weights=thinned.stands_for)[0]
     np.testing.assert_array_equal(stands, came)
     left = np.histogram(thinned.t, edges)[0]
-    assert (left[:3] == 150).all()  # 3000 events in 20 ms
-    np.testing.assert_array_equal(left[3:], np.minimum(came[3:], 150))
+    assert (left[:3] == 300).all()  # 3000 events in 10 ms
+    np.testing.assert_array_equal(left[3:], np.minimum(came[3:], 300))
 
 
 def deviation(kept: Events, events: Events, cell) -> np.ndarray:
@@ -118,13 +118,13 @@ def blocks(events: Events) -> np.ndarray:
 
 def test_every_block_keeps_its_share_more_evenly_than_by_chance():
     budget = EventBudget(POLICY, 30_000)
-    events = noise(1_000_000)
-    kept = budget.thin(window(events)).since(START + 115 * MS).events
-    events = window(events).since(START + 115 * MS).events
+    events = noise(2_000_000)
+    kept = budget.thin(window(events)).since(START + 125 * MS).events
+    events = window(events).since(START + 125 * MS).events
     assert len(kept) == 30_000
     left = np.count_nonzero(kept.x < WIDTH // 2) / len(kept)
     assert abs(left - np.count_nonzero(events.x < WIDTH // 2) / len(events)) < 0.01
-    halves = [kept[kept.t < START + 125 * MS], events[events.t < START + 125 * MS]]
+    halves = [kept[kept.t < START + 130 * MS], events[events.t < START + 130 * MS]]
     for few, all_of_them in ([kept, events], halves):
         spread_px = (deviation(few, all_of_them, blocks) ** 2).mean()
         by_chance = len(few) / 300  # variance of a Poisson count, on average over 300 blocks
@@ -132,9 +132,9 @@ def test_every_block_keeps_its_share_more_evenly_than_by_chance():
 
 
 def test_on_and_off_keep_their_shares():
-    events = noise(400_000, 90.0)
+    events = noise(800_000, 90.0)
     kept = EventBudget(WHOLE.policy, 30_000).limit_rate(events, START)
-    assert len(kept) == 90 * 1500
+    assert len(kept) == 90 * 3000
     assert abs(kept.p.mean() - events.p.mean()) < 0.003
 
 
@@ -166,7 +166,7 @@ def test_what_repeats_in_the_order_of_readout_is_thinned_alike(period):
 
 def test_a_few_events_among_many_are_not_always_the_ones_that_are_lost():
     """A lone block with one event per millisecond, of which one in 13 can stay."""
-    events = noise(200_000, 90.0)
+    events = noise(400_000, 90.0)
     events = events[events.y < 400]
     lone = at(np.arange(90) * MS + 7, np.full(90, 300), np.full(90, 470), np.ones(90))
     both = Events.concatenate([events, lone])
@@ -202,10 +202,10 @@ def lit(events: Events) -> int:
 @pytest.mark.parametrize("hz", [100, 120])
 def test_flicker_is_still_recognised(hz):
     """A lamp on a quarter of the image: its bursts at each half-wave are thinned more."""
-    rest = noise(200_000)
+    rest = noise(400_000)
     rest = rest[(rest.x >= 320) | (rest.y >= 240)]
     rng = np.random.default_rng(4)
-    t = rng.uniform(0, 0.135, 600_000)
+    t = rng.uniform(0, 0.135, 1_200_000)
     t = np.sort(t + 0.0004 * np.sin(4 * np.pi * hz * t)).clip(0, 0.1349)
     lamp = at(
         t * 1e9, rng.integers(0, 320, len(t)), rng.integers(0, 240, len(t)), (t * hz) % 1 < 0.5
@@ -213,7 +213,7 @@ def test_flicker_is_still_recognised(hz):
     both = Events.concatenate([rest, lamp])
     both = both[np.argsort(both.t, kind="stable")]
     kept = EventBudget(POLICY, 30_000).thin(window(both)).events
-    assert len(kept) < len(both) / 7
+    assert len(kept) < len(both) / 11
     missed = [lit(without_flicker(e, WIDTH, HEIGHT)) / lit(e) for e in (both, kept)]
     assert missed[1] < missed[0]
     cleaned = without_flicker(kept, WIDTH, HEIGHT)
@@ -222,8 +222,8 @@ def test_flicker_is_still_recognised(hz):
 
 def test_spread_gives_the_share_of_time_that_the_stream_has():
     thinned = BUDGET.thin(window(noise(300_000))).events
-    late = np.count_nonzero(thinned.t >= START + 115 * MS) / len(thinned)
-    assert late > 0.25  # of 20 ms of 135
+    late = np.count_nonzero(thinned.t >= START + 125 * MS) / len(thinned)
+    assert late > 0.2  # of 10 ms of 135
     few = spread(thinned, 3000)
     assert 2500 < len(few) <= 3000
     assert (np.diff(numbers(few, thinned)) > 0).all()

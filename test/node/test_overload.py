@@ -157,17 +157,17 @@ def test_who_wants_every_window_gets_them_later(monkeypatch):
 
 
 def test_more_events_than_are_used_are_counted_as_they_came_and_do_not_cross(monkeypatch):
-    """50 events per ms may stay of 400, 1000 in 20 ms; the worker is twice too slow."""
+    """100 events per ms may stay of 400, 1000 in 10 ms; the worker is twice too slow."""
     bench = Overload(monkeypatch, service_ms=2 * STRIDE_MS, estimator__max_events=1000)
     bench.play(500, per_message=400)
     counts = bench.counts
     assert counts["events"] == 500 * 400
-    assert counts["events_thinned"] == 499 * 350  # the last millisecond is not over
+    assert counts["events_thinned"] == 499 * 300  # the last millisecond is not over
     budget = EventBudget(bench.settings.config.window, 1000)
     for job, _, _ in bench.done:
         events = job.task.window.events
         assert events.came == DURATION_MS * 400
-        assert len(events) <= budget.capacity < 2000
+        assert len(events) <= budget.capacity < 2400
         _, arrays = to_arrays(job.task.window)
         assert sum(array.nbytes for array in arrays.values()) <= 11 * budget.capacity
     of_dropped = counts["events_dropped"]
