@@ -6,6 +6,7 @@ node's end of the first channel closes.
 """
 
 import importlib
+import os
 import signal
 import sys
 import threading
@@ -44,6 +45,8 @@ WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
 _WARM_UP_EVENTS = 20_000
 _WARM_UP_SPEED = 200  # px/s
+# The node's own process comes first on a busy machine: else the newest events wait unread.
+_NICE = 5
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast
@@ -60,6 +63,7 @@ def serve(connection: Connection, slices: Connection, factory: str) -> None:
     # A terminal sends Ctrl-C to all of its processes; the node decides when its worker ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(_SWITCH_S)
+    os.nice(_NICE)
     module, _, function = factory.partition(":")
     worker = _Worker(getattr(importlib.import_module(module), function))
     beside = (Channel(slices), worker.answer_slice)
