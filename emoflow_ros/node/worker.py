@@ -46,7 +46,7 @@ WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 _WARM_UP_EVENTS = 20_000
 _WARM_UP_SPEED = 200  # px/s
 # The node's own process comes first on a busy machine: else the newest events wait unread.
-_NICE = 5
+_NICE = 10
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast
