@@ -39,6 +39,7 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import NS_PER_S, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
@@ -92,11 +93,13 @@ def _measure(args: argparse.Namespace) -> None:
             raise InputError(f"--{name.replace('_', '-')}", "less than 1", "give at least 1")
     use_one_thread()
     config = load_config("realtime", {"estimator.device": args.device})
+    budget = EventBudget(config.window, config.estimator.max_events)
     load = os.getloadavg()[0]
     scores: dict[str, dict[int, list[Score]]] = {scene: {} for scene in args.scenes}
     runs = [(scene, seed) for scene in args.scenes for seed in args.seeds]
     for scene, seed in tqdm(runs, desc="recordings", file=sys.stderr):
         recording, windows = record(scene, seed, config.window, args.windows_per_seed)
+        windows = [budget.thin(window) for window in windows]  # the node does so before the worker
         scores[scene][seed] = score(recording, windows, config, args.cold_every)
     scenes = {name: summarise(name, by_seed) for name, by_seed in scores.items()}
     report = {

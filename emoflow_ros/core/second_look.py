@@ -9,6 +9,7 @@ distance follows the probability that the estimate is wrong.
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,15 @@ class SecondLook:
         self._contrasts = {scale: make_contrast(lattice, scale) for scale, _, _ in _STEPS}
         self._config = config
         self._shape = lattice.shape
+        self._thread = ThreadPoolExecutor(1, "second_look")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the thread, which a checkpoint of a run cannot hold."""
+        return {name: value for name, value in vars(self).items() if name != "_thread"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin with a thread of its own."""
+        vars(self).update(state)
         self._thread = ThreadPoolExecutor(1, "second_look")
 
     def begin(self, events: WindowEvents) -> tuple[Future[F32], Future[F32]]:

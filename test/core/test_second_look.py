@@ -1,5 +1,6 @@
 """A second look at windows, on points that move together."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -69,3 +70,9 @@ def test_weights_that_are_not_finite_have_no_flow(events):
     broken = replace(events, weights=events.weights * np.float32(np.nan))
     with pytest.raises(NotPositiveDefiniteError):
         SecondLook(LATTICE, Contrast, LatticeConfig()).flow(broken, constant(0, 0))
+
+
+def test_a_copy_from_a_checkpoint_finds_the_same(events):
+    look = SecondLook(LATTICE, Contrast, LatticeConfig())
+    flows = [one.begin(events)[1].result() for one in (look, pickle.loads(pickle.dumps(look)))]
+    np.testing.assert_array_equal(*flows)
