@@ -39,8 +39,8 @@ from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import NS_PER_S, Window, WindowPolicy, WindowSlicer
-from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess
