@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import psutil
 import pytest
 from supervisor_bench import CAMERA, WAIT_S, Bench
 
@@ -271,12 +272,21 @@ def test_slice_that_fails_costs_neither_a_window_nor_the_worker(
     assert b.supervisor.pid == first
 
 
+def wait_for_stop(pid: int) -> None:
+    """Wait until a signal has stopped all threads of a process."""
+    deadline = time.monotonic() + WAIT_S
+    while {psutil.Process(t.id).status() for t in psutil.Process(pid).threads()} != {"stopped"}:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def test_worker_that_does_not_answer_a_slice_is_replaced(bench: Callable[..., Bench]) -> None:
     b = bench("Trackless", timeout_s=3.0)
     b.put(t=1000)
     b.result()
     assert b.supervisor.pid is not None
     os.kill(b.supervisor.pid, signal.SIGSTOP)
+    wait_for_stop(b.supervisor.pid)
     b.put_slice(t_end=1100)
     assert b.loss().reason == "the worker died (signal 9); it is started again"
     b.put(t=2000)
