@@ -93,13 +93,11 @@ def _measure(args: argparse.Namespace) -> None:
             raise InputError(f"--{name.replace('_', '-')}", "less than 1", "give at least 1")
     use_one_thread()
     config = load_config("realtime", {"estimator.device": args.device})
-    budget = EventBudget(config.window, config.estimator.max_events)
     load = os.getloadavg()[0]
     scores: dict[str, dict[int, list[Score]]] = {scene: {} for scene in args.scenes}
     runs = [(scene, seed) for scene in args.scenes for seed in args.seeds]
     for scene, seed in tqdm(runs, desc="recordings", file=sys.stderr):
         recording, windows = record(scene, seed, config.window, args.windows_per_seed)
-        windows = [budget.thin(window) for window in windows]  # the node does so before the worker
         scores[scene][seed] = score(recording, windows, config, args.cold_every)
     scenes = {name: summarise(name, by_seed) for name, by_seed in scores.items()}
     report = {
@@ -172,10 +170,12 @@ def score(
     for window in windows[:2]:  # compiles, where that was not done before
         estimator.estimate(window)
     estimator.reset()
-    runs = [timed(estimator, window) for window in windows]
+    budget = EventBudget(config.window, config.estimator.max_events)
+    thinned = [budget.thin(window) for window in windows]  # as the node does before the worker
+    runs = [timed(estimator, window) for window in thinned]
     cold_seconds = np.full(len(windows), np.nan)
     for k in range(0, len(windows), cold_every):
-        cold_seconds[k] = timed(make_estimator(recording.camera, config), windows[k]).seconds
+        cold_seconds[k] = timed(make_estimator(recording.camera, config), thinned[k]).seconds
     simulated = SimulatedTruth(recording.truth)
     scores = []
     for k, (window, warm) in enumerate(zip(windows, runs, strict=True)):
