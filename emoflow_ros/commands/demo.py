@@ -218,11 +218,11 @@ def _show(collected: Collected, estimates: Estimates, truth: Truth, folder: Path
         f"{np.degrees(max(differences)):.4f} deg/s"
     )
     print("ms: from the event that completes a window to the arrival of its twist")
-    ages = collected.present_ages_ms()
-    print(
-        f"{len(ages)} twists of now came on /egomotion/twist; from the event at their stamp they "
-        f"took {np.nanmedian(ages or [np.nan]):.0f} ms (median)"
-    )
+    if ages := collected.present_ages_ms():  # none where windows wait so long as to be of the past
+        print(
+            f"{len(ages)} twists of now came on /egomotion/twist; from the event at their stamp "
+            f"they took {np.nanmedian(ages):.0f} ms (median)"
+        )
     for name in ("report.html", "report.json", "estimates.h5"):
         print(folder / name)
     return 0 if 0 < arrived == expected else _EXIT_INCOMPLETE
