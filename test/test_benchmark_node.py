@@ -1,13 +1,10 @@
-"""The benchmark of the running node: its events, its figures by hand, and the table of all."""
+"""The benchmark of the running node: its events, and its figures by hand."""
 
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import benchmarks.__main__ as summary
 from benchmarks import _event_loop
 from benchmarks._event_loop import EVENTS, MARKS, START, Loop, Sensor, simulate_loops, write_loop
 from benchmarks._node_figures import (
@@ -23,7 +20,6 @@ from benchmarks._node_figures import (
     rows,
     usage,
 )
-from benchmarks._rows import Row, lay_out
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
@@ -258,60 +254,3 @@ def test_a_run_that_is_too_short_is_refused():
     short = Observed(marks=[(START, 100.0), (START + MS, 100.5)])
     with pytest.raises(InputError, match=r"--seconds: 0\.5 s of replay"):
         figures(short, SENT)
-
-
-@pytest.mark.parametrize(
-    ("row", "target", "verdict"),
-    [
-        (Row("a", 1.0, at_most=1.0), "<= 1", "met"),
-        (Row("a", 1.1, at_most=1.0), "<= 1", "missed"),
-        (Row("a", 1.1, at_least=1.2), ">= 1.2", "missed"),
-        (Row("a", 1.2, at_least=1.2), ">= 1.2", "met"),
-        (Row("a", None, at_least=1.2), ">= 1.2", "not measured"),
-        (Row("a", None, at_most=0), "<= 0", "not measured"),
-        (Row("a", 9.0), "", ""),
-    ],
-)
-def test_row(row, target, verdict):
-    assert (row.target, row.verdict) == (target, verdict)
-    assert Row.from_dict(json.loads(json.dumps(row.as_dict()))) == row
-
-
-def test_rows_are_laid_out_side_by_side():
-    lines = lay_out([Row("age, ms", 31.26, at_most=30), Row("windows", 1331)]).splitlines()
-    assert lines[1].split() == ["age,", "ms", "<=", "30", "31.3", "missed"]
-    assert lines[2].split() == ["windows", "1331"]
-
-
-def test_all_benchmarks_are_summed_up_in_one_table(tmp_path, monkeypatch, capsys):
-    """Two steps and a third one that fails; a fourth one has no part in a short run."""
-    script = (
-        "import json, sys\n"
-        "args = dict(zip(sys.argv[1::2], sys.argv[2::2]))\n"
-        "if '--fail' in args: sys.exit(2)\n"
-        "row = {'figure': 'speed', 'result': float(args['--result']), 'at_most': 5.0}\n"
-        "json.dump({'rows': [row]}, open(args['--out'], 'w'))\n"
-    )
-    for name in ("fast", "slow", "broken", "longest"):
-        (tmp_path / f"{name}.py").write_text(script)
-    monkeypatch.setattr(summary, "_HERE", tmp_path)
-    steps = (
-        summary.Step("fast", short=("--result", "4"), long=("--result", "3")),
-        summary.Step("slow", short=("--result", "6"), long=("--result", "7")),
-        summary.Step("broken", short=("--fail", "1")),
-        summary.Step("longest", short=None, long=("--result", "8")),
-    )
-    (tmp_path / "broken.json").write_text('{"rows": [{"figure": "speed", "result": 1.0}]}')  # old
-    monkeypatch.setattr(summary, "STEPS", steps)
-    monkeypatch.setattr(sys, "argv", ["benchmarks", "--out", str(tmp_path)])
-    assert summary.main() == 2
-    printed = capsys.readouterr()
-    table = [line.split()[-2:] for line in printed.out.splitlines() if line.startswith("speed")]
-    assert table == [["4", "met"], ["6", "missed"]]
-    assert "error: broken: failed" in printed.err
-
-
-def test_every_step_is_a_benchmark():
-    folder = Path(summary.__file__).parent
-    named = {step.name for step in summary.STEPS}
-    assert named == {path.stem for path in folder.glob("[a-z]*.py")}

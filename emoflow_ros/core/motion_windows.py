@@ -34,12 +34,11 @@ _EVENTS = 3_000  # are enough at low resolution
 class MotionWindows:
     """Estimates the latest part of each window that the motion allows (an Estimator).
 
-    Events, those that came before any were thinned, are what edges leave behind per pixel that they
-    move: a part with the events of
-    `max_displacement_px` pixels, as many as the last part's events and displacement tell, is short
-    as soon as the camera is fast, and long when events are few. Its length depends on nothing but
-    the windows so far. A part never begins before the one before it, so that the estimates' times
-    grow.
+    Events, counted as they came, are what edges leave behind per pixel that they move: a part with
+    the events of `max_displacement_px` pixels, as many as the last part's events and displacement
+    tell, is short as soon as the camera is fast, and long when events are few. Its length depends
+    on nothing but the windows so far. A part never begins before the one before it, so that the
+    estimates' times grow.
 
     A displacement is the length of the path: a camera that shakes leaves events on its way back,
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its

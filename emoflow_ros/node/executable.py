@@ -27,8 +27,9 @@ topics in:
   imu          sensor_msgs/Imu, a gyro, beside the events unless remapped; with imu.use
 
 topics out:
-  egomotion/twist, egomotion/twist_now   camera velocity now: direction and rad/s; with covariance
-  egomotion/twist_with_covariance        the same in the middle of each window
+  egomotion/twist                                    camera velocity now: direction and rad/s
+  egomotion/twist_now                                the same with its covariance
+  egomotion/twist_with_covariance                    that in the middle of each window
   egomotion/status                                   the verdict on every window
   flow/image, flow/color, flow/iwe, flow/tracks      only while somebody subscribes
   /diagnostics                                       what is wrong, rates, latency, losses

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+import traceback
 from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerContext
 from typing import Any
@@ -157,16 +158,24 @@ class SliceFeed:
             worker = self._worker()
             if task is None or worker is None:
                 continue
+            outcome: Present | Loss | None = None
             try:
-                answer = worker.estimate_slice(*to_arrays(task.window), self._timeout_s)
+                outcome = self._estimate(worker, task)
             except WorkerDiedError:
                 worker.kill()
-                continue
-            with contextlib.suppress(Exception):  # of waking the node: the outcome is there already
-                self._pass_on(task, *answer)
+            except Exception as error:  # the node would go on without this thread
+                if self._stopping.is_set():
+                    break
+                worker.kill()  # it may still answer, and that would be taken for the next answer
+                reason = f"an error in the node ({type(error).__name__}: {error})"
+                outcome = Loss(reason, worker=False, trace=traceback.format_exc())
+            if outcome is not None:
+                with contextlib.suppress(Exception):  # of `wake`: the outcome is in the queue
+                    self._tell(outcome)
 
-    def _pass_on(self, task: Task, header: dict[str, Any], arrays: Arrays) -> None:
+    def _estimate(self, worker: WorkerProcess, task: Task) -> Present | Loss | None:
+        request = to_arrays(task.window)
+        header, arrays = worker.estimate_slice(*request, self._timeout_s)
         if "error" in header:
-            self._tell(Loss(f"a slice failed: {header['error']}", worker=False))
-        elif present := unpack_present(task, header, arrays):
-            self._tell(present)
+            return Loss(f"a slice failed: {header['error']}", worker=False)
+        return unpack_present(task, header, arrays)

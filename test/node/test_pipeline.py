@@ -1,98 +1,42 @@
 """What becomes of windows between the event topic and the worker; the worker is a fake."""
 
 import time
-from contextlib import ExitStack
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from fake_estimators import Recorder
-from fake_node import FakeNode
-from fake_supervisor import install_fake_supervisor
 from graph import DVS
-from rclpy.serialization import deserialize_message
+from pipeline_bench import CAMERA, LEFT, MS, PipelineBench
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import PresentTwist, Status, Twist
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.event_source import to_camera
-from emoflow_ros.node.pipeline import Pipeline
-from emoflow_ros.node.settings import NodeOptions, Settings
-from emoflow_ros.node.tasks import Job, Loss, Present, Result
+from emoflow_ros.node.tasks import Job, Loss
 from emoflow_ros.node.topic_search import EventTopic
-from emoflow_ros.simulation.messages import MessageEncoder
 
-MS = 1_000_000
-CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 FINER = replace(CAMERA, fx=60.0)
 SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
-LEFT, RIGHT = EventTopic("/left/events", DVS), EventTopic("/right/events", DVS)
+RIGHT = EventTopic("/right/events", DVS)
 MISSING = "no calibration yet: publish /left/camera_info or give camera.calibration_file"
-ENCODER = MessageEncoder(ros1=False)
-
-
-class Bench:
-    """A pipeline that listens to /left/events, with windows of 10 ms of which two may wait."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, twist_rate: float = 0.0) -> None:
-        supervisors = install_fake_supervisor(monkeypatch)
-        self.node = FakeNode()
-        self.made = ExitStack()
-        self.settings = Settings(NodeOptions(), load_config()).changed(
-            {
-                "window.duration_ms": 10.0,
-                "window.stride_ms": 10.0,
-                "input.queue_windows": 2,
-                "output.twist_rate": twist_rate,
-            }
-        )
-        self.pipeline = Pipeline(
-            self.node,  # type: ignore[arg-type]
-            self.settings,
-            factory="",
-            wake=lambda: None,
-            made=self.made,
-        )
-        [self.supervisor] = supervisors
-        self.pipeline.take_topic(LEFT)
-
-    def play(self, first_ms: int, last_ms: int, camera: Camera = CAMERA) -> None:
-        """Take a message with an event each 5 ms."""
-        for t in range(first_ms, last_ms, 5):
-            zero = np.zeros(1, np.uint16)
-            events = Events(zero, zero, np.array([t * MS]), zero.astype(bool))
-            self.pipeline.take_events(ENCODER.events(t * MS, camera, events))
-
-    def calibrate(self, camera: Camera = CAMERA) -> None:
-        data = ENCODER.camera_info(0, camera)
-        self.pipeline.take_camera_info(deserialize_message(data, CameraInfo))
-
-    def answer(self, job: Job) -> Result:
-        estimate = Recorder(job.camera, job.config).estimate(job.task.window)
-        return Result(job.task, estimate)
-
-    @property
-    def said(self) -> list[str]:
-        return [m.message for m in self.node.messages("egomotion/status")]
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
-    return Bench(monkeypatch)
+def bench(monkeypatch: pytest.MonkeyPatch) -> PipelineBench:
+    return PipelineBench(monkeypatch)
 
 
 def stamps(jobs: list[Job]) -> list[int]:
     return [job.task.stamp // MS for job in jobs]
 
 
-def test_windows_that_wait_in_vain_are_dropped_for_want_of_a_calibration(bench: Bench) -> None:
+def test_windows_that_wait_in_vain_are_dropped_for_want_of_a_calibration(
+    bench: PipelineBench,
+) -> None:
     bench.play(1000, 1041)
     assert bench.said == [f"dropped: {MISSING}"] * 2
     report = bench.pipeline.report()
@@ -102,14 +46,14 @@ def test_windows_that_wait_in_vain_are_dropped_for_want_of_a_calibration(bench: 
     assert stamps(bench.supervisor.jobs()) == [1025, 1035]
 
 
-def test_bad_calibration_is_the_reason_that_windows_are_dropped(bench: Bench) -> None:
+def test_bad_calibration_is_the_reason_that_windows_are_dropped(bench: PipelineBench) -> None:
     bench.pipeline.take_camera_info(CameraInfo(width=64, height=48))
     bench.play(1000, 1031)
     [said] = bench.said
     assert said.startswith("dropped: camera_info: camera: focal lengths")
 
 
-def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: Bench) -> None:
+def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: PipelineBench) -> None:
     bench.calibrate()
     bench.play(1000, 1031)
     assert len(bench.said) == 1
@@ -121,7 +65,7 @@ def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: Ben
     assert report.message == "2 windows dropped: the worker died (signal 9); it is started again"
 
 
-def test_windows_carry_what_holds_when_they_are_handed_over(bench: Bench) -> None:
+def test_windows_carry_what_holds_when_they_are_handed_over(bench: PipelineBench) -> None:
     bench.calibrate()
     bench.play(1000, 1011)
     bench.calibrate(FINER)
@@ -135,7 +79,9 @@ def test_windows_carry_what_holds_when_they_are_handed_over(bench: Bench) -> Non
     assert (first.wishes.pictures, second.wishes.pictures) == ((), ("flow/image",))
 
 
-def test_no_window_of_another_topic_is_estimated_with_the_camera_before(bench: Bench) -> None:
+def test_no_window_of_another_topic_is_estimated_with_the_camera_before(
+    bench: PipelineBench,
+) -> None:
     bench.calibrate()
     bench.play(1000, 1016)
     bench.pipeline.take_topic(RIGHT)
@@ -146,7 +92,7 @@ def test_no_window_of_another_topic_is_estimated_with_the_camera_before(bench: B
     assert job.camera == FINER
 
 
-def test_results_of_a_topic_before_are_not_published(bench: Bench) -> None:
+def test_results_of_a_topic_before_are_not_published(bench: PipelineBench) -> None:
     bench.calibrate()
     bench.play(1000, 1011)
     [job] = bench.supervisor.jobs()
@@ -157,7 +103,7 @@ def test_results_of_a_topic_before_are_not_published(bench: Bench) -> None:
     assert bench.said == []
 
 
-def test_windows_of_another_sensor_are_forgotten_with_its_calibration(bench: Bench) -> None:
+def test_windows_of_another_sensor_are_forgotten_with_its_calibration(bench: PipelineBench) -> None:
     bench.play(1000, 1021, camera=SMALL)
     bench.calibrate()
     assert bench.supervisor.jobs() == []
@@ -165,7 +111,7 @@ def test_windows_of_another_sensor_are_forgotten_with_its_calibration(bench: Ben
     assert stamps(bench.supervisor.jobs()) == [1030]
 
 
-def test_topic_counts_as_used_once_a_window_has_gone_to_the_worker(bench: Bench) -> None:
+def test_topic_counts_as_used_once_a_window_has_gone_to_the_worker(bench: PipelineBench) -> None:
     bench.play(1000, 1041)
     assert not bench.pipeline.is_topic_used
     bench.calibrate()
@@ -174,7 +120,7 @@ def test_topic_counts_as_used_once_a_window_has_gone_to_the_worker(bench: Bench)
     assert not bench.pipeline.is_topic_used
 
 
-def test_error_in_the_node_is_logged_with_its_traceback(bench: Bench) -> None:
+def test_error_in_the_node_is_logged_with_its_traceback(bench: PipelineBench) -> None:
     trace = "Traceback (most recent call last):\n  in _serve"
     bench.supervisor.outcomes.put(Loss("an error in the node", worker=True, trace=trace))
     bench.pipeline.take_outcomes()
@@ -182,7 +128,7 @@ def test_error_in_the_node_is_logged_with_its_traceback(bench: Bench) -> None:
     assert bench.pipeline.report().level is Level.ERROR
 
 
-def test_thread_that_has_ended_is_an_error_for_as_long_as_it_holds(bench: Bench) -> None:
+def test_thread_that_has_ended_is_an_error_for_as_long_as_it_holds(bench: PipelineBench) -> None:
     bench.supervisor.has_ended = True
     for _ in range(2):
         report = bench.pipeline.report()
@@ -191,7 +137,9 @@ def test_thread_that_has_ended_is_an_error_for_as_long_as_it_holds(bench: Bench)
     assert bench.node.log[-1][0] == "error"
 
 
-def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(bench: Bench) -> None:
+def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(
+    bench: PipelineBench,
+) -> None:
     bench.calibrate()
     bench.play(1000, 1011)
     [job] = bench.supervisor.jobs()
@@ -200,7 +148,7 @@ def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(benc
     assert len(bench.node.messages("egomotion/twist")) == 1
 
 
-def test_windows_with_too_few_events_are_not_running(bench: Bench) -> None:
+def test_windows_with_too_few_events_are_not_running(bench: PipelineBench) -> None:
     bench.calibrate()
     bench.play(1000, 1021)
     for job in bench.supervisor.jobs():
@@ -212,7 +160,7 @@ def test_windows_with_too_few_events_are_not_running(bench: Bench) -> None:
     assert report.message.startswith("2 windows with too few events, and none with enough")
 
 
-def test_no_more_events_are_dropped_than_came(bench: Bench) -> None:
+def test_no_more_events_are_dropped_than_came(bench: PipelineBench) -> None:
     bench.pipeline.set_settings(bench.settings.changed({"window.stride_ms": 2.0}))
     bench.calibrate()
     bench.play(1000, 1101)
@@ -221,7 +169,7 @@ def test_no_more_events_are_dropped_than_came(bench: Bench) -> None:
     assert 15 < int(values["events_dropped"]) <= int(values["events"]) == 21
 
 
-def test_node_that_nobody_activated_is_inactive_and_not_silent(bench: Bench) -> None:
+def test_node_that_nobody_activated_is_inactive_and_not_silent(bench: PipelineBench) -> None:
     bench.pipeline.set_settings(bench.settings.changed({"input.silence_s": 0.1}))
     bench.play(1000, 1021)
     bench.pipeline.statistics.clear_problem("input")  # as who listens does
@@ -233,7 +181,7 @@ def test_node_that_nobody_activated_is_inactive_and_not_silent(bench: Bench) -> 
     assert (said.level, said.message) == (Level.OK, inactive)
 
 
-def test_pause_forgets_what_waits_for_either(bench: Bench) -> None:
+def test_pause_forgets_what_waits_for_either(bench: PipelineBench) -> None:
     bench.play(1000, 1021)
     bench.pipeline.pause()
     bench.pipeline.take_topic(LEFT)
@@ -246,7 +194,7 @@ def test_pause_forgets_what_waits_for_either(bench: Bench) -> None:
     assert bench.node.publishers == {}
 
 
-def test_every_window_is_accounted_for_once(bench: Bench) -> None:
+def test_every_window_is_accounted_for_once(bench: PipelineBench) -> None:
     """Waiting, queued, in work or lost when an epoch ends, answered, lost, and dropped."""
     bench.play(1000, 1021)  # two windows wait for a calibration
     bench.play(500, 506)  # a jump
@@ -272,7 +220,7 @@ def test_every_window_is_accounted_for_once(bench: Bench) -> None:
     assert len(bench.said) == 5  # all but those that were forgotten
 
 
-def test_window_in_work_at_the_pause_is_forgotten(bench: Bench) -> None:
+def test_window_in_work_at_the_pause_is_forgotten(bench: PipelineBench) -> None:
     bench.calibrate()
     bench.play(1000, 1011)
     [job] = bench.supervisor.jobs()
@@ -293,28 +241,3 @@ def test_camera_info_becomes_the_camera() -> None:
 def test_uncalibrated_camera_info_is_refused() -> None:
     with pytest.raises(InputError, match="focal lengths"):
         to_camera(CameraInfo(width=64, height=48))
-
-
-def test_slices_go_beside_windows_and_their_twists_are_of_this_epoch(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    bench = Bench(monkeypatch, twist_rate=100.0)
-    bench.play(1000, 1100)
-    assert bench.supervisor.slices.get(0.0) is None  # there is no calibration
-    bench.calibrate()
-    bench.play(1100, 1151)
-    [_, *jobs] = bench.supervisor.jobs()
-    assert not any(job.task.is_slice for job in jobs)
-    task = bench.supervisor.slices.get(0.0)
-    assert task is not None and task.is_slice
-    assert (task.window.t_start, task.window.t_end) == (1090 * MS, 1150 * MS)
-    assert len(task.window.events) == 12
-    twist = Twist(task.window.t_end, np.zeros(3), np.ones(3))
-    for epoch in (task.epoch, task.epoch - 1):
-        present = Present(replace(task, epoch=epoch), PresentTwist(twist, np.eye(6)))
-        bench.supervisor.outcomes.put(present)
-    bench.pipeline.take_outcomes()
-    [message] = bench.node.messages("egomotion/twist")
-    assert message.header.stamp.nanosec == 150 * MS
-    assert bench.pipeline.statistics.counts["windows_forgotten"] == 0
-    assert bench.pipeline.statistics.counts["twists_now"] == 1

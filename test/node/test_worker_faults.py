@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +17,7 @@ from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import supervisor
+from emoflow_ros.node import supervisor, worker_process
 from emoflow_ros.node.channel import Channel
 
 ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
@@ -291,3 +292,22 @@ def test_worker_that_does_not_answer_a_slice_is_replaced(bench: Callable[..., Be
     assert b.loss().reason == "the worker died (signal 9); it is started again"
     b.put(t=2000)
     assert b.result().estimate.angular[1] == 1
+
+
+def test_error_in_the_slices_thread_is_told_and_later_slices_are_answered(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    b = bench("Recorder")
+    monkeypatch.setattr(worker_process, "unpack_present", Clumsy(MemoryError("no memory"), 1))
+    b.put(t=1000)
+    b.result()
+    b.put_slice(t_end=1100)
+    losses = {b.loss().reason, b.loss().reason}
+    died = "the worker died (signal 9); it is started again"
+    assert losses == {"an error in the node (MemoryError: no memory)", died}
+    asked = threading.Event()
+    monkeypatch.setattr(worker_process, "unpack_present", lambda *_: asked.set())
+    b.put(t=2000)
+    b.result()
+    b.put_slice(t_end=2100)
+    assert asked.wait(WAIT_S)
