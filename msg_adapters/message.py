@@ -94,6 +94,10 @@ class Decoder(Protocol):
         """
         ...
 
+    def resync(self, left_out: int) -> None:
+        """Expect a gap before the next message: the caller has left out so many."""
+        ...
+
     def reset(self) -> None:
         """Forget the state carried between messages, for example on a jump in time."""
         ...

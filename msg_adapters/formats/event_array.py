@@ -60,6 +60,9 @@ class EventArrayDecoder:
         cursor.finish()
         return build_message(header, width, height, events, self.statistics)
 
+    def resync(self, left_out: int) -> None:
+        """Do nothing: there is no state."""
+
     def reset(self) -> None:
         """Do nothing: there is no state."""
 

@@ -31,6 +31,7 @@ class EventPacketDecoder:
         packet_decoders()  # compiled now, not in the first message
         self._packets: PacketDecoder | None = None
         self._seq: int | None = None
+        self._left_out = 0  # messages before the next one
 
     def decode(self, data: Bytes) -> EventMessage:
         """Decode one message; see Decoder."""
@@ -49,9 +50,16 @@ class EventPacketDecoder:
         events = packets.decode(payload, bool(big_endian), time_base)
         return build_message(header, width, height, events, self.statistics, seq=seq)
 
+    def resync(self, left_out: int) -> None:
+        """Expect that so many numbers are missing; keep counting time wraps."""
+        self._left_out += left_out
+        if self._packets is not None:
+            self._packets.resync()
+
     def reset(self) -> None:
         """Forget time, row and running number."""
         self._seq = None
+        self._left_out = 0
         if self._packets is not None:
             self._packets.reset()
 
@@ -64,12 +72,13 @@ class EventPacketDecoder:
 
     def _follow(self, seq: int, packets: PacketDecoder) -> None:
         """Compare the running number with the last one; publishers without numbers repeat it."""
-        if self._seq is not None and seq > self._seq + 1:
-            self.statistics.seq_gaps += seq - self._seq - 1
+        expected = seq if self._seq is None else self._seq + 1 + self._left_out
+        if seq > expected:
+            self.statistics.seq_gaps += seq - expected
             packets.resync()
         elif self._seq is not None and seq < self._seq:
             packets.reset()
-        self._seq = seq
+        self._seq, self._left_out = seq, 0
 
 
 DECODER = EventPacketDecoder

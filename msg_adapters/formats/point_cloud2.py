@@ -93,6 +93,9 @@ class PointCloud2Decoder:
         self._serialization = serialization
         self.reset()
 
+    def resync(self, left_out: int) -> None:
+        """Do nothing: what the time field means holds for all messages."""
+
     def reset(self) -> None:
         """Forget what the time field was found to mean."""
         self._time = _CloudTime()

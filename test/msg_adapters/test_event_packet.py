@@ -110,6 +110,22 @@ def test_lost_packets_are_counted_and_time_waited_for(rng, encoding):
 
 
 @pytest.mark.parametrize("encoding", ["evt3", "evt2", "evt21"])
+def test_packets_left_out_by_the_caller_are_not_counted_and_time_is_waited_for(rng, encoding):
+    events = synthetic(rng, 400)
+    first, _, _, fourth = packets(events, encoding, 100)
+    words = ENCODERS[encoding](events[200:300], 0)
+    kind = words >> (8 * words.itemsize - 4)
+    third = event_packet(payload(words[~np.isin(kind, [6, 8])]), encoding, seq=2)
+    decoder = make_decoder(TYPE, "cdr")
+    assert_equal(decoder.decode(first).events, events[:100])
+    decoder.resync(1)
+    assert len(decoder.decode(third).events) == 0
+    assert_equal(decoder.decode(fourth).events, events[300:])
+    assert decoder.statistics.seq_gaps == 0
+    assert decoder.statistics.skipped == 100
+
+
+@pytest.mark.parametrize("encoding", ["evt3", "evt2", "evt21"])
 def test_lost_packets_keep_counting_wraps(encoding):
     wrap = {"evt3": 1 << 24}.get(encoding, 1 << 34)
     zeros = np.zeros(3, np.uint16)
