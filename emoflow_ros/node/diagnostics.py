@@ -26,6 +26,8 @@ _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
+    "messages_skipped": "messages left out: events come faster than the node decodes them; lower "
+    "their rate, or give the node more of the processor",
     "windows_dropped": "windows dropped: {drop}",
     **{name: line for name, line in _REFUSALS.items() if name != "events_outside"},
     "time_jumps": "jumps in event time: the estimation starts anew",

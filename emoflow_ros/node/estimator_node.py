@@ -205,9 +205,11 @@ class EstimatorNode(LifecycleNode):
                 search=TopicSearch(self, self._settings.node.input.type),
                 is_ready=lambda: pipeline.is_ready,
                 is_used=lambda: pipeline.is_topic_used,
+                length_ns=lambda: self._settings.backlog_ns,
                 callbacks=Callbacks(
                     topic=pipeline.take_topic,
                     events=pipeline.take_events,
+                    skip=pipeline.skip,
                     camera_info=pipeline.take_camera_info if pipeline.hears_camera_info else None,
                 ),
                 statistics=pipeline.statistics,
@@ -261,12 +263,10 @@ class EstimatorNode(LifecycleNode):
             self._pipeline.take_outcomes()
 
     def _publish_diagnostics(self) -> None:
-        if self._pipeline is None:
-            return
-        report = self._pipeline.report()
-        stamp = self.get_clock().now().to_msg()
-        name = self.get_fully_qualified_name()
-        self._diagnostics.publish(to_diagnostics(name, report, stamp))
+        if self._pipeline is not None:
+            report = self._pipeline.report()
+            name, stamp = self.get_fully_qualified_name(), self.get_clock().now().to_msg()
+            self._diagnostics.publish(to_diagnostics(name, report, stamp))
 
 
 def _log_error(node: Node, action: str, error: Exception) -> None:

@@ -6,22 +6,13 @@ from collections.abc import Callable
 from emoflow_ros.core.bounded_windows import BoundedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
-from emoflow_ros.core.events import (
-    NS_PER_MS,
-    NS_PER_S,
-    Events,
-    TimeJumpError,
-    Window,
-)
+from emoflow_ros.core.events import NS_PER_S, Events, Window
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.node.backlog import LeftOut, is_jump
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 
-# A smaller step back in time is disorder, a larger one starts another run of the recording.
-_DISORDER = 100 * NS_PER_MS
-# A larger step forward also starts another run: a seek, or a sensor clock that wrapped unseen.
-_GAP = 10 * NS_PER_S
 # A million events as EventArray; a larger message is taken for a malformed one.
 _MAX_BYTES = 16 * 2**20
 
@@ -129,6 +120,18 @@ class EventInput:
             for t, w, is_slice in middles + ends
         ]
 
+    def skip(self, left_out: LeftOut) -> None:
+        """Go on behind messages that are left out: no window and no slice reaches over them.
+
+        The epoch and the clock map stay unless time jumped meanwhile.
+        """
+        if left_out.jump:
+            self._start_epoch(left_out.jump)
+            self._size = None
+        else:
+            self._decoder.resync(left_out.count)
+            self._reset_slicers()
+
     def _decode(self, data: bytes) -> EventMessage | None:
         try:
             if len(data) > _MAX_BYTES:
@@ -147,9 +150,9 @@ class EventInput:
         if self._stamp is None:
             return False
         step = message.stamp - self._stamp
-        if step > -_DISORDER and self._last is not None and len(message.events):
+        if not is_jump(step) and self._last is not None and len(message.events):
             step = max(step, int(message.events.t[0]) - self._last)
-        if -_DISORDER < step < _GAP:
+        if not is_jump(step):
             return False
         self._start_epoch(step)
         return True
@@ -204,14 +207,13 @@ class EventInput:
         if (events.t[1:] < events.t[:-1]).any():
             self._leave_out("event times within it are out of order")
             return None
-        try:
-            windows = self._slicer.push(events)
-        except TimeJumpError as jump:
-            if jump.last - jump.now < _DISORDER:
-                self._leave_out(str(jump))
-                return None
-            self._start_epoch(jump.now - jump.last)
-            windows = self._slicer.push(events)
+        step = 0 if self._last is None else int(events.t[0]) - self._last
+        if is_jump(step):
+            self._start_epoch(step)
+        elif step < 0:
+            self._leave_out(f"event time went back by {-step / NS_PER_S:.6f} s")
+            return None
+        windows = self._slicer.push(events)
         self._last = int(events.t[-1])
         return windows
 

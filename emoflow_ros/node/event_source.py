@@ -15,7 +15,9 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.event_feed import EventFeed, fetch_waiting
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.topic_search import (
     EventTopic,
@@ -38,11 +40,13 @@ class Callbacks:
     Attributes:
         topic: told which topic was found; again if it turns out to be another one.
         events: each serialised event message.
+        skip: told when messages before the next one are left out.
         camera_info: each calibration; None if the node has one.
     """
 
     topic: Callable[[EventTopic], None]
     events: Callable[[bytes], None]
+    skip: Callable[[LeftOut], None]
     camera_info: Callable[[CameraInfo], None] | None
 
 
@@ -59,6 +63,7 @@ class EventSource:
         is_ready: whether messages can be taken yet.
         is_used: whether events of the present topic have been used, and would now be mixed with
             those of another one.
+        length_ns: how much event time messages may cover while they wait, ns.
         callbacks: take what comes.
         statistics: told while there is no topic.
     """
@@ -70,16 +75,19 @@ class EventSource:
         search: TopicSearch,
         is_ready: Callable[[], bool],
         is_used: Callable[[], bool],
+        length_ns: Callable[[], int],
         callbacks: Callbacks,
         statistics: Statistics,
     ) -> None:
         self._node = node
         self._is_ready = is_ready
         self._is_used = is_used
+        self._length_ns = length_ns
         self._callbacks = callbacks
         self._statistics = statistics
         self._search = search
         self._subscriptions: list[Subscription] = []
+        self._feed: EventFeed | None = None
         self._topic: EventTopic | None = None
         self._hears_events = False
         self._named: list[str] = []
@@ -139,6 +147,9 @@ class EventSource:
         self._callbacks.events(data)
 
     def _unsubscribe(self) -> None:
+        if self._feed is not None:
+            self._feed.close()
+            self._feed = None
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -164,19 +175,27 @@ class EventSource:
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 )
             )
-        self._subscriptions.append(
-            self._node.create_subscription(
-                message_type,
-                topic.name,
-                self._take_events,
-                _event_qos(self._node, topic),
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=lambda _: self._report_incompatible_qos(topic)
-                ),
-                qos_overriding_options=_given_overrides(self._node, topic.name),
-                raw=True,
-            )
+        self._feed = EventFeed(
+            self._node,
+            topic.name,
+            fetch=lambda: fetch_waiting(subscription, _EVENT_DEPTH),
+            length_ns=self._length_ns,
+            take=self._take_events,
+            skip=self._callbacks.skip,
+            statistics=self._statistics,
         )
+        subscription = self._node.create_subscription(
+            message_type,
+            topic.name,
+            self._feed.receive,
+            _event_qos(self._node, topic),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda _: self._report_incompatible_qos(topic)
+            ),
+            qos_overriding_options=_given_overrides(self._node, topic.name),
+            raw=True,
+        )
+        self._subscriptions.append(subscription)
 
     def _report_incompatible_qos(self, topic: EventTopic) -> None:
         asked = _kind(self._subscriptions[-1].qos_profile)

@@ -19,6 +19,7 @@ from emoflow_ros.core.config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.event_feed import fetch_waiting
 from emoflow_ros.node.imu_input import ImuInput, MountingError
 from emoflow_ros.node.target_frame import LATEST, NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
@@ -170,13 +171,8 @@ class PolledSubscription:
 
     def fetch(self) -> None:
         """Hand on the messages that have come."""
-        subscription = self._subscription
-        with subscription.handle:
-            for _ in range(_MOST):
-                found = subscription.handle.take_message(subscription.msg_type, True)
-                if found is None:
-                    return
-                self._take(found[0])
+        for data in fetch_waiting(self._subscription, _MOST):
+            self._take(data)
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -13,6 +13,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import to_camera
@@ -174,24 +175,26 @@ class Pipeline:
         if self._input.epoch != self._epoch:
             self._epoch = self._input.epoch
             self._forget_waiting()
-            self._node.get_logger().info(
-                f"{self._input.jump}: the estimation starts anew",
-                throttle_duration_sec=_THROTTLE_S,
-            )
+            line = f"{self._input.jump}: the estimation starts anew"
+            self._node.get_logger().info(line, throttle_duration_sec=_THROTTLE_S)
         if tasks and self.imu is not None:
             self.imu.push(tasks)
         elif tasks:
             self._hand_on(tasks)
+
+    def skip(self, left_out: LeftOut) -> None:
+        """Go on behind messages that are left out, as `EventInput.skip` does."""
+        if self._input is not None:
+            self._input.skip(left_out)
 
     def take_camera_info(self, info: CameraInfo) -> None:
         """Take a calibration, which may be the one in use."""
         try:
             camera = to_camera(info)
         except InputError as error:
-            self._miss_camera(f"camera_info: {error}")
-            self._node.get_logger().error(
-                f"camera_info: {error}", throttle_duration_sec=_THROTTLE_S
-            )
+            line = f"camera_info: {error}"
+            self._miss_camera(line)
+            self._node.get_logger().error(line, throttle_duration_sec=_THROTTLE_S)
             return
         self.statistics.clear_problem("camera")
         if camera != self._camera:
@@ -281,10 +284,8 @@ class Pipeline:
             self._input.camera = camera
         self._camera = camera
         self._node.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
-        waiting = list(self._waiting)
-        self._waiting.clear()
-        if waiting:
-            self._hand_on(waiting)
+        waiting, self._waiting = list(self._waiting), deque()
+        self._hand_on(waiting)
 
     def _report(self, loss: Loss) -> None:
         if loss.task is not None and not self._is_recent(loss.task):
@@ -292,8 +293,7 @@ class Pipeline:
         self.statistics.add_loss(loss)
         logger = self._node.get_logger()
         if loss.trace:
-            line = f"{loss.reason}\n{loss.trace}"
-            logger.error(line, throttle_duration_sec=_THROTTLE_S)
+            logger.error(f"{loss.reason}\n{loss.trace}", throttle_duration_sec=_THROTTLE_S)
         else:
             logger.error(loss.reason, throttle_duration_sec=_THROTTLE_S)
         if loss.task is not None:

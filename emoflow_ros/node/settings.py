@@ -48,7 +48,8 @@ class InputOptions:
     queue_windows: int = option(
         1,
         "windows that may wait for the worker; one more drops the oldest, but those that one "
-        "message completes; give more to estimate every window, later",
+        "message completes; messages may wait for the decoder as long, and for one window more; "
+        "give more to estimate every window, later",
         minimum=1,
         maximum=100,
     )
@@ -224,6 +225,16 @@ class Settings:
             return None
         policy = WindowPolicy(duration_ms=SLICE_MS, stride_ms=1e3 / rate)
         return EventBudget(policy, SLICE_EVENTS)
+
+    @property
+    def backlog_ns(self) -> int:
+        """Event time that messages may cover while they wait to be decoded, ns.
+
+        It is that of a window, or of a slice if that is longer, and of the windows that may wait.
+        """
+        window, slices = self.config.window, self.slices
+        slice_ns = slices.policy.duration_ns if slices else 0
+        return max(window.duration_ns, slice_ns) + self.node.input.queue_windows * window.stride_ns
 
     def changed(self, values: Mapping[str, Any]) -> "Settings":
         """Return a copy with the parameters of these names changed.

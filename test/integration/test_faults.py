@@ -9,6 +9,7 @@ import pytest
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from shared_node import SharedNode
 
@@ -226,3 +227,33 @@ def test_node_that_is_activated_again_says_what_it_waits_for(processes: Processe
         peer.spin_until(lambda: settling in peer.status()["message"], "what it waits for")
         peer.spin_until(lambda: peer.status()["message"] == "running", "it goes on")
         assert "nobody publishes" not in processes.output(node)[before:]
+
+
+def test_node_that_stood_still_goes_on_with_the_newest_events(processes: Processes) -> None:
+    """As under overload, messages wait that cover more event time than is worth it."""
+    with Peer(reliability=ReliabilityPolicy.RELIABLE) as peer:
+        node = processes.start_fake("Recorder", "-p", "input.queue_windows:=1")
+        peer.connect()
+        peer.publish_camera()
+        run_windows(peer, 1000, 1101, pause_s=0.01)
+        peer.spin_until(lambda: len(peer.twists) > 1, "windows before")
+        node.send_signal(signal.SIGSTOP)
+        try:
+            run_windows(peer, 1105, 2001)
+        finally:
+            node.send_signal(signal.SIGCONT)
+        peer.spin_until(lambda: peer.status()["messages_skipped"] != "0", "the gap")
+        run_windows(peer, 2005, 2101, pause_s=0.01)
+        sent = (2100 - 1000) // 5 + 1
+
+        def count(*names: str) -> int:
+            return sum(int(peer.status()[name]) for name in names)
+
+        peer.spin_until(lambda: count("messages", "messages_skipped") == sent, "all messages")
+        assert count("messages_skipped") > 20
+        assert count("seq_gaps", "time_jumps") == 0
+        peer.spin_until(lambda: peer.twists[-1].header.stamp.sec == 2, "windows behind the gap")
+        assert {t.twist.angular.x for t in peer.twists} == {10.0}  # none reaches over it
+        assert processes.output(node).count("messages are left out, because events come") == 1
+        said = {s.message for d in peer.diagnostics for s in d.status}
+        assert any("messages left out: events come faster than the node" in m for m in said)

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+from fake_node import FakeHandle
+
 DVS = "dvs_msgs/msg/EventArray"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
@@ -15,6 +17,9 @@ class Graph:
         topics: published ones, with their type.
         now: what `clock` tells, s.
         callbacks: of the subscriptions, by topic.
+        sent: messages that wait in the middleware, for any subscription.
+        guards: callbacks of the guard conditions.
+        triggered: how often one of them was triggered.
         log: lines, as (level, text).
     """
 
@@ -22,6 +27,9 @@ class Graph:
         self.topics = topics
         self.now = 0.0
         self.callbacks: dict[str, Callable[..., None]] = {}
+        self.sent: list[bytes] = []
+        self.guards: list[Callable[[], None]] = []
+        self.triggered = 0
         self.log: list[tuple[str, str]] = []
         self.tick: Callable[[], None] | None = None
         self._namespace = namespace
@@ -59,12 +67,22 @@ class Graph:
 
     def create_subscription(
         self, kind: Any, topic: str, callback: Callable[..., None], qos: Any, **kwargs: Any
-    ) -> str:
+    ) -> Any:
         self.callbacks[topic] = callback
-        return topic
+        return SimpleNamespace(topic=topic, handle=FakeHandle(self.sent), msg_type=kind)
 
-    def destroy_subscription(self, subscription: str) -> None:
-        del self.callbacks[subscription]
+    def destroy_subscription(self, subscription: Any) -> None:
+        del self.callbacks[subscription.topic]
+
+    def create_guard_condition(self, callback: Callable[[], None]) -> Any:
+        self.guards.append(callback)
+        return SimpleNamespace(callback=callback, trigger=self._trigger)
+
+    def destroy_guard_condition(self, guard: Any) -> None:
+        self.guards.remove(guard.callback)
+
+    def _trigger(self) -> None:
+        self.triggered += 1
 
     def get_logger(self) -> Any:
         def level(name: str) -> Callable[..., None]:

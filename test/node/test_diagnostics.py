@@ -188,6 +188,19 @@ def test_what_costs_estimates_is_said_before_what_costs_none(clock: Clock) -> No
     assert statistics.report(2.0).message == "no calibration"
 
 
+def test_messages_that_were_left_out_are_said_before_the_windows_that_were(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    statistics.add_dropped(Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0), "too slow")
+    statistics.counts["messages_skipped"] += 44
+    report = statistics.report(2.0)
+    assert (report.level, report.values["messages_skipped"]) == (Level.WARN, "44")
+    assert report.message == (
+        "44 messages left out: events come faster than the node decodes them; lower their rate, "
+        "or give the node more of the processor"
+    )
+    assert statistics.report(2.0).message == "running"
+
+
 def test_events_of_dropped_windows_count_once(clock: Clock) -> None:
     """Windows that overlap, a gap, and the same times again after a jump back."""
     statistics = Statistics(clock)
@@ -219,7 +232,8 @@ def test_everything_that_is_promised_is_reported_from_the_start(
     promised = {
         "events_per_s", "windows_per_s", "latency_p50_ms", "latency_p95_ms", "windows_dropped",
         "events_dropped", "seq_gaps", "clock_drift_ppm", "iterations", "stop_reason",
-        "worker_restarts", "memory_mb", "worker_memory_mb", "malformed_messages", "time_jumps",
+        "messages_skipped", "worker_restarts", "memory_mb", "worker_memory_mb",
+        "malformed_messages", "time_jumps",
     }  # fmt: skip
     assert promised <= set(values)
     assert float(values["memory_mb"]) == pytest.approx(float(values["worker_memory_mb"]), abs=2)

@@ -1,16 +1,21 @@
 """What the node listens to while the graph around it changes; the graph and the time are fakes."""
 
+import time
+
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_messages.sh")
 
 from graph import DVS, Graph
+from headers import message
 
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.topic_search import SETTLING_S, EventTopic, TopicSearch
 
+LENGTH_NS = 20_000_000
 ONE, TWO, ASKED = "/one/events", "/two/events", "/events"
 
 
@@ -22,6 +27,8 @@ class Bench:
         self.statistics = Statistics()
         self.taken: list[str] = []
         self.received: list[bytes] = []
+        self.skips: list[LeftOut] = []
+        self.pause_s = 0.0  # for each message
         self.ready = True
         self.used = False
         self.source = EventSource(
@@ -29,12 +36,17 @@ class Bench:
             search=TopicSearch(self.graph, "", self.graph.clock),  # type: ignore[arg-type]
             is_ready=lambda: self.ready,
             is_used=lambda: self.used,
-            callbacks=Callbacks(self._take, self.received.append, lambda info: None),
+            length_ns=lambda: LENGTH_NS,
+            callbacks=Callbacks(self._take, self._receive, self.skips.append, lambda info: None),
             statistics=self.statistics,
         )
 
     def _take(self, topic: EventTopic) -> None:
         self.taken.append(topic.name)
+
+    def _receive(self, data: bytes) -> None:
+        time.sleep(self.pause_s)
+        self.received.append(data)
 
     @property
     def problem(self) -> tuple[Level, str] | None:
@@ -173,3 +185,47 @@ def test_stop_leaves_no_subscription_and_looks_no_longer() -> None:
     bench.source.stop()
     assert bench.listens == set()
     assert bench.graph.tick is None
+    assert bench.graph.guards == []
+
+
+def test_messages_that_wait_in_the_middleware_come_with_the_one_that_is_called_for() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.graph.sent += [b"second", b"third"]
+    bench.graph.callbacks[ONE](b"first")
+    assert bench.graph.sent == []
+    [go_on] = bench.graph.guards
+    for _ in range(2):  # on a busy machine a turn may be over after each message
+        go_on()
+    assert bench.received == [b"first", b"second", b"third"]
+
+
+@pytest.mark.parametrize("end", ["stop", "topic"])
+def test_messages_that_wait_are_not_taken_after_the_end(end: str) -> None:
+    bench = Bench(ONE)
+    bench.look()
+    bench.pause_s = 0.006  # longer than a turn
+    bench.graph.sent += [b"second", b"third"]
+    bench.graph.callbacks[ONE](b"first")
+    [go_on] = bench.graph.guards
+    if end == "stop":
+        bench.source.stop()
+    else:
+        bench.graph.topics[ASKED] = DVS
+        bench.look(0.0)
+    go_on()
+    assert bench.received == [b"first"]
+    assert go_on not in bench.graph.guards
+
+
+def test_messages_that_are_left_out_are_told_to_who_takes_the_others() -> None:
+    bench = Bench(ONE)
+    bench.look()
+    messages = [message(t) for t in range(0, 61, 5)]
+    for data in messages[:5]:  # 20 ms have been taken
+        bench.graph.callbacks[ONE](data)
+    bench.graph.sent += messages[6:]
+    bench.graph.callbacks[ONE](messages[5])
+    assert bench.received == [*messages[:5], messages[-1]]
+    assert bench.skips == [LeftOut(7, jump=0)]
+    assert bench.statistics.counts["messages_skipped"] == 7

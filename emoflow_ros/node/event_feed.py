@@ -1,0 +1,114 @@
+"""From the middleware's queue to the decoder: event messages wait in between, but not for long."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from emoflow_ros.node.backlog import Backlog, LeftOut
+from emoflow_ros.node.diagnostics import Statistics
+
+_TURN_S = 0.005  # decoding at a stretch
+_THROTTLE_S = 5.0
+
+
+class EventFeed:
+    """Hands the messages of one topic on, for a few milliseconds at a time.
+
+    In between, the executor runs the node's other callbacks, and results are published. If the
+    messages come faster than they are taken, the oldest are left out.
+
+    Args:
+        node: wakes the executor, and logs.
+        topic: name of the topic.
+        fetch: returns the messages that wait in the middleware.
+        length_ns: returns how much event time may wait here, ns.
+        take: gets each message.
+        skip: told when messages before the next one are left out.
+        statistics: counts the messages that are left out.
+        clock: monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        *,
+        fetch: Callable[[], Iterable[bytes]],
+        length_ns: Callable[[], int],
+        take: Callable[[bytes], None],
+        skip: Callable[[LeftOut], None],
+        statistics: Statistics,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._node = node
+        self._topic = topic
+        self._fetch = fetch
+        self._length_ns = length_ns
+        self._take = take
+        self._skip = skip
+        self._statistics = statistics
+        self._clock = clock
+        self._backlog = Backlog()
+        self._is_open = True
+        self._more_waits = node.create_guard_condition(self._go_on)
+
+    def receive(self, data: bytes) -> None:
+        """Take a message from the executor, and all that wait behind it in the middleware.
+
+        Each turn of the executor costs as much as some messages.
+        """
+        has_turn = len(self._backlog) > 0  # _go_on will be called
+        self._backlog.add(data)
+        self._add_waiting()
+        if not has_turn:
+            self._work()
+
+    def close(self) -> None:
+        """Forget the messages that wait; hand on no more."""
+        self._is_open = False
+        self._backlog = Backlog()
+        self._node.destroy_guard_condition(self._more_waits)
+
+    def _go_on(self) -> None:
+        if self._is_open:
+            self._add_waiting()
+            self._work()
+
+    def _add_waiting(self) -> None:
+        for data in self._fetch():
+            self._backlog.add(data)
+
+    def _work(self) -> None:
+        self._shorten()
+        end = self._clock() + _TURN_S
+        while len(self._backlog):
+            self._take(self._backlog.pop())
+            if self._clock() >= end:
+                break
+        if len(self._backlog):
+            self._more_waits.trigger()
+
+    def _shorten(self) -> None:
+        left_out = self._backlog.shorten(self._length_ns())
+        if left_out is None:
+            return
+        self._statistics.counts["messages_skipped"] += left_out.count
+        self._skip(left_out)
+        self._node.get_logger().warning(
+            f"{self._topic}: {left_out.count} messages are left out, because events come faster "
+            "than the node decodes them; lower the event rate of the camera or the rate of the "
+            "replay, or give the node more of the processor",
+            throttle_duration_sec=_THROTTLE_S,
+        )
+
+
+def fetch_waiting(subscription: Subscription, most: int) -> Iterator[bytes]:
+    """Take the serialised messages that wait in the middleware, `most` of them at most."""
+    with subscription.handle:
+        for _ in range(most):
+            found = subscription.handle.take_message(subscription.msg_type, True)
+            if found is None:
+                return
+            yield found[0]

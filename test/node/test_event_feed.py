@@ -1,0 +1,136 @@
+"""Messages between the middleware and the decoder: turns of a few milliseconds, and gaps."""
+
+import pytest
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+from graph import Graph
+from headers import MS, message
+
+from emoflow_ros.node.backlog import LeftOut
+from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.event_feed import EventFeed
+
+LENGTH_NS = 20 * MS
+
+
+class Bench:
+    """A feed, whose messages take 2 ms each, and what it did."""
+
+    def __init__(self) -> None:
+        self.graph = Graph({})
+        self.statistics = Statistics()
+        self.now = 0.0
+        self.waiting: list[bytes] = []
+        self.done: list[bytes | LeftOut] = []
+        self.feed = EventFeed(
+            self.graph,  # type: ignore[arg-type]
+            "/cam/events",
+            fetch=self._fetch,
+            length_ns=lambda: LENGTH_NS,
+            take=self._take,
+            skip=self.done.append,
+            statistics=self.statistics,
+            clock=lambda: self.now,
+        )
+        [self.go_on] = self.graph.guards
+
+    def _fetch(self) -> list[bytes]:
+        fetched = list(self.waiting)
+        self.waiting.clear()
+        return fetched
+
+    def _take(self, data: bytes) -> None:
+        self.now += 0.002
+        self.done.append(data)
+
+    def run(self) -> int:
+        """Do what the executor does until nothing waits; return the number of turns."""
+        turns = 0
+        while self.graph.triggered:
+            self.graph.triggered = 0
+            turns += 1
+            self.go_on()
+        return turns
+
+
+def messages(first_ms: int, last_ms: int) -> list[bytes]:
+    return [message(t) for t in range(first_ms, last_ms)]
+
+
+def test_turn_ends_after_5_ms_and_the_rest_comes_in_later_ones() -> None:
+    bench = Bench()
+    sent = messages(0, 8)
+    bench.waiting += sent[1:]
+    bench.feed.receive(sent[0])
+    assert bench.done == sent[:3]
+    assert bench.graph.triggered == 1
+    bench.graph.triggered = 0
+    bench.go_on()
+    assert bench.done == sent[:6]
+    assert bench.run() == 1
+    assert bench.done == sent
+    assert bench.statistics.counts["messages_skipped"] == 0
+
+
+def test_message_that_comes_while_others_wait_is_taken_behind_them() -> None:
+    bench = Bench()
+    sent = messages(0, 8)
+    bench.waiting += sent[1:4]
+    bench.feed.receive(sent[0])
+    bench.waiting += sent[5:]
+    bench.feed.receive(sent[4])
+    assert bench.done == sent[:3]  # the turn of those that wait is still to come
+    assert bench.run() == 2
+    assert bench.done == sent
+
+
+def test_messages_beyond_the_length_are_left_out_counted_and_said() -> None:
+    bench = Bench()
+    for data in messages(0, 21):
+        bench.feed.receive(data)
+    bench.waiting += messages(22, 65)
+    bench.feed.receive(message(21))
+    assert bench.done == [*messages(0, 21), LeftOut(43, jump=0), message(64)]
+    assert bench.statistics.counts["messages_skipped"] == 43
+    assert bench.graph.log == [
+        (
+            "warning",
+            "/cam/events: 43 messages are left out, because events come faster than the node "
+            "decodes them; lower the event rate of the camera or the rate of the replay, or give "
+            "the node more of the processor",
+        )
+    ]
+
+
+def test_jump_among_what_is_left_out_is_told() -> None:
+    bench = Bench()
+    for data in messages(5000, 5021):
+        bench.feed.receive(data)
+    bench.waiting += messages(1000, 1040)
+    bench.feed.receive(message(5021))
+    assert bench.done[21:] == [LeftOut(40, jump=(1001 - 5021) * MS), message(1039)]
+
+
+def test_what_waits_in_the_middleware_counts_in_every_turn() -> None:
+    bench = Bench()
+    for data in messages(0, 18):
+        bench.feed.receive(data)
+    bench.waiting += messages(19, 24)
+    bench.feed.receive(message(18))
+    assert bench.done == messages(0, 21)
+    bench.waiting += messages(24, 60)
+    assert bench.run() == 1
+    assert bench.done == [*messages(0, 21), LeftOut(38, jump=0), message(59)]
+
+
+def test_nothing_is_taken_after_the_end() -> None:
+    bench = Bench()
+    bench.waiting += messages(1, 8)
+    bench.feed.receive(message(0))
+    bench.feed.close()
+    assert bench.graph.guards == []
+    bench.waiting += messages(8, 9)
+    bench.go_on()
+    assert bench.done == messages(0, 3)
+    assert len(bench.waiting) == 1
