@@ -135,12 +135,14 @@ def figures(observed: Observed, sent: Sent) -> dict[str, Any]:
 
 def _input_figures(counted: Mapping[str, int], sent: Sent) -> dict[str, Any]:
     came, events = (counted.get(name, 0) for name in ("messages", "events"))
+    skipped = counted.get("messages_skipped", 0)
     missing = sent.messages - came
     return {
         "messages": {
             "sent": sent.messages,
-            "lost": missing,
-            "not accounted for": abs(missing - counted.get("seq_gaps", 0)),
+            "lost": missing - skipped,
+            "skipped": skipped,
+            "not accounted for": abs(missing - skipped - counted.get("seq_gaps", 0)),
         },
         "events": {
             "sent": sent.events,
@@ -253,7 +255,7 @@ def rows(name: str, pace: float, targets: Targets, found: Mapping[str, Any]) -> 
     """
     windows, messages, age = found["windows"], found["messages"], found["age_ms"]
     runs, both = windows["drop runs"], found["processes"]["node + worker"]
-    miscounted = found["events"]["miscounted"]  # not known where messages were lost
+    miscounted = found["events"]["miscounted"]  # not known where messages were not read
     lost = windows["expected"] - windows["answered"]
     even = targets.longest_run if windows["dropped"] else None
     flat = GROWTH_MB_PER_MIN if both["observed_s"] >= MIN_FOR_GROWTH_S else None
@@ -270,6 +272,7 @@ def rows(name: str, pace: float, targets: Targets, found: Mapping[str, Any]) -> 
         Row("longest run of dropped windows, over the mean", runs["ratio"], even),
         Row("windows not accounted for", windows["not accounted for"], 0),
         Row("messages lost before the node", messages["lost"], targets.lost),
+        Row("messages left out by the node", messages["skipped"], targets.lost),
         Row("messages not accounted for", messages["not accounted for"], 0),
         Row("events miscounted", miscounted, None if miscounted is None else 0),
         Row("memory of node + worker, MB", both["resident_mb_max"], MEMORY_MB),
