@@ -17,7 +17,7 @@ class EventFeed:
     """Hands the messages of one topic on, for a few milliseconds at a time.
 
     In between, the executor runs the node's other callbacks, and results are published. If the
-    messages come faster than they are taken, the oldest are left out.
+    messages come faster than they are taken, those that are too old are left out.
 
     Args:
         node: wakes the executor, and logs.

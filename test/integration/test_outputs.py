@@ -90,11 +90,13 @@ def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Proc
 
 def test_overload_drops_the_oldest_windows_and_recovers(peer: Peer, processes: Processes) -> None:
     statuses: list[DiagnosticStatus] = listen(peer, DiagnosticStatus, "/egomotion/status")
-    node = processes.start_fake("Slow", "-p", "input.queue_windows:=3")
+    node = processes.start_fake("Slow", "-p", "input.queue_windows:=10")
     peer.connect()
     peer.publish_camera()
     wait_for_topic(peer, "/egomotion/status")
-    run_windows(peer, 1000, 1401)  # 40 windows at once
+    for t in range(1000, 1401, 5):  # 40 windows of 10 ms at their rate, five times too fast
+        peer.publish_events(t * MS)
+        peer.spin_for(0.005)
     peer.spin_until(lambda: len(statuses) == 40, "a status for each of 40 windows")
     kinds = [values(s)["status"] for s in statuses]
     assert set(kinds) == {"ok", "dropped"}

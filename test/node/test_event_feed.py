@@ -1,14 +1,21 @@
 """Messages between the middleware and the decoder: turns of a few milliseconds, and gaps."""
 
+import time
+from collections.abc import Callable
+from itertools import pairwise
+
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
+import rclpy
 from graph import Graph
 from headers import MS, message
+from ros_nodes import ros_context
 
 from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.estimator_node import spin_until_asked
 from emoflow_ros.node.event_feed import EventFeed
 
 LENGTH_NS = 20 * MS
@@ -134,3 +141,42 @@ def test_nothing_is_taken_after_the_end() -> None:
     bench.go_on()
     assert bench.done == messages(0, 3)
     assert len(bench.waiting) == 1
+
+
+def test_executor_publishes_results_between_the_turns_and_comes_back() -> None:
+    sent = messages(0, 4)
+    waiting = sent[1:]
+    done: list[bytes | str] = []
+    asks: list[Callable[[], None]] = []
+    with ros_context() as context:
+        node = rclpy.create_node("feeding", context=context)
+        results = node.create_guard_condition(lambda: done.append("result"))
+
+        def fetch() -> list[bytes]:
+            fetched = list(waiting)
+            waiting.clear()
+            return fetched
+
+        def take(data: bytes) -> None:
+            done.append(data)
+            results.trigger()
+            if data == sent[-1]:
+                asks[0]()
+            time.sleep(0.006)  # longer than a turn
+
+        feed = EventFeed(
+            node,
+            "/cam/events",
+            fetch=fetch,
+            length_ns=lambda: LENGTH_NS,
+            take=take,
+            skip=pytest.fail,
+            statistics=Statistics(),
+        )
+        feed.receive(sent[0])
+        spin_until_asked(node, asks.append)
+        guards = len(list(node.guards))
+        feed.close()
+        assert len(list(node.guards)) == guards - 1
+    for before, behind in pairwise(sent):
+        assert "result" in done[done.index(before) : done.index(behind)]
