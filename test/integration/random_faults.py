@@ -140,10 +140,8 @@ class Script:
         self._estimated |= {t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in twists}
         assert len(twists) == missing
         assert self._estimated == {m for m, verdict in self.verdicts.items() if verdict == "ok"}
-        for name in (
-            "internal_errors", "malformed_messages", "windows_diverged", "seq_gaps",
-            "messages_skipped",
-        ):  # fmt: skip
+        lost = ("malformed_messages", "seq_gaps", "messages_skipped", "windows_diverged")
+        for name in ("internal_errors", *lost):
             assert self._count(name) == 0
         self._peer.spin_until(lambda: len(self._workers()) == 1, "a worker")
         self.used.append(self._resources())
