@@ -72,8 +72,11 @@ class WindowEvents:
 
     def between(self, begin: float, end: float) -> "WindowEvents":
         """Take the events of a part of the window, times in [0, 1]."""
-        inside = (self.s >= begin) & (self.s <= end)
-        return WindowEvents(*(c[inside] for c in (self.x, self.y, self.s, self.weights)))
+        return self.at((self.s >= begin) & (self.s <= end))
+
+    def at(self, chosen: NDArray[np.bool_]) -> "WindowEvents":
+        """Take the events of a mask (N,)."""
+        return WindowEvents(*(c[chosen] for c in (self.x, self.y, self.s, self.weights)))
 
     def __len__(self) -> int:
         return len(self.x)

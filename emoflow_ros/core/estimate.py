@@ -82,6 +82,8 @@ class Quality:
             the working image: what the fit's model of time leaves out. NaN where not known.
         second_look_px: how far a fresh fit of the flow, by the events alone, lies from this one, in
             px of the working image (core.second_look). NaN where not known.
+        earlier_px: how far the flow by an earlier window's scene lies from this one, in px of the
+            working image (core.earlier_scene). NaN where not known.
         doubt: probability that the estimate is wrong (core.second_look); NaN where not known.
     """
 
@@ -95,6 +97,7 @@ class Quality:
     warm: bool = False
     change_px: float = float("nan")
     second_look_px: float = float("nan")
+    earlier_px: float = float("nan")
     doubt: float = float("nan")
 
 

@@ -30,10 +30,13 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
         from emoflow_ros.core.motion_windows import MotionWindows
 
         estimator = MotionWindows(estimator, camera, config.window)
-    if isinstance(config.estimator, LatticeConfig) and config.estimator.max_doubt < 1:
+    if isinstance(config.estimator, LatticeConfig):
+        from emoflow_ros.core.preparation import CleanWindows
         from emoflow_ros.core.second_look import ReliableOnly
 
-        estimator = ReliableOnly(estimator, config.estimator.max_doubt)
+        estimator = CleanWindows(estimator, camera)
+        if config.estimator.max_doubt < 1:
+            estimator = ReliableOnly(estimator, config.estimator.max_doubt)
     return BoundedWindows(estimator, EventBudget(config.window, config.estimator.max_events))
 
 

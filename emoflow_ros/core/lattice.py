@@ -121,26 +121,6 @@ class Lattice:
         grid = values.reshape(self.columns, self.rows)
         return map_coordinates(grid, (points * self.per_px).T, order=1, mode="nearest")
 
-    def spread(self, evidence: NDArray[np.float64]) -> float:
-        """Measure how much of the image the evidence at the nodes (nodes,) extends over.
-
-        Returns:
-            Root of the determinant of its covariance in x and y, over that of an even density: the
-            share of the image's area for one compact spot, about 1 for edges all over the image.
-            The lesser half of the density is taken for noise: the median is subtracted first.
-            Lattices of fewer than 5 nodes along a side are too coarse to tell, and give 1.
-        """
-        share = np.ones((self.columns, self.rows))  # of a cell, that a node stands for
-        share[[0, -1]] /= 2
-        share[:, [0, -1]] /= 2
-        density = evidence / share.ravel()
-        weights = share.ravel() * np.maximum(0.0, density - np.median(density))
-        if min(self.columns, self.rows) < 5 or not weights.any():
-            return 1.0
-        covariance = np.cov(self.pixels.T, aweights=weights, bias=True)
-        determinant = max(0.0, float(np.linalg.det(covariance)))
-        return 12 * float(np.sqrt(determinant)) / (self.width * self.height)
-
     def at_time(self, flow: NDArray[np.float32], s: float) -> NDArray[np.float32]:
         """Interpolate a field in time, (columns, rows, 2); constant before 0 and after 1."""
         at = min(1.0, max(0.0, s)) * (self.times - 1)

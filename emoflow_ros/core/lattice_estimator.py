@@ -1,21 +1,23 @@
 """The real-time estimator: a warm-started lattice fit per window."""
 
 import time
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from emoflow_ros.core.belief import KnownRotation, Structure
+from emoflow_ros.core.belief import KnownRotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import GyroConfig
+from emoflow_ros.core.confinement import is_confined
 from emoflow_ros.core.contrast import (
     Contrast,
     ContrastFactory,
     WindowEvents,
     best_constant_flow,
 )
+from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
@@ -27,9 +29,9 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader
-from emoflow_ros.core.second_look import SecondLook, best_start, distance, is_lost
+from emoflow_ros.core.second_look import best_start, is_lost, probability_of_failure
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.uncertainty import PossibleMotions
+from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions
 
 Array = NDArray[np.float64]
 
@@ -39,7 +41,6 @@ _SEARCH_REACH_PX = 48.0
 _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
-_CONFINED = 0.35  # spread of the evidence below which the camera may be at rest
 _ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
 _SWITCH = 0.8  # another direction of v must explain the flow this much better
 
@@ -67,7 +68,7 @@ class LatticeEstimator:
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
         self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
-        self._second_look = SecondLook(self.lattice, make_contrast, config)
+        self._check = CrossCheck(self.lattice, self._epipolar, make_contrast, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
@@ -76,6 +77,11 @@ class LatticeEstimator:
 
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
+        self._check.forget()
+        self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Forget the last window as a start, though not what the scene was."""
         self._last: Memory | None = None
         self._reader.forget()
         self._selector = ModelSelector()
@@ -92,34 +98,38 @@ class LatticeEstimator:
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
         measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
-        self._fit.known = None
+        fit = self._fit
+        fit.known = None
         if measurement is not None:
-            self._fit.known = KnownRotation.measured(measurement, window.duration)
+            fit.known = KnownRotation.measured(measurement, window.duration)
         last = self._last
         warm = last is not None and last.reaches(window)
-        coarse = self._fit.contrasts[0.25]
-        fresh, looked = self._second_look.begin(events)
+        coarse = fit.contrasts[0.25]
+        self._check.begin(window, events)
         try:
             if warm and last is not None:
                 flows = last.flows(window)
-                if self._fit.known is not None:
+                if fit.known is not None:
                     turned = last.rotation(window)
-                    flows += [self._fit.turned(flow, turned) for flow in flows]
-                self._fit.flow = best_start(coarse, events, flows)
-                stop = self._fit_warm(events, last.predict(self._fit, window))
+                    flows += [fit.turned(flow, turned) for flow in flows]
+                fit.flow = best_start(coarse, events, flows)
+                stop = self._fit_warm(events, last.predict(fit, window))
                 # A cold fit takes longer than any deadline leaves.
-                warm = self._late() or not is_lost(coarse, events, self._fit.flow, fresh.result())
+                warm = self._late() or not is_lost(coarse, events, fit.flow, self._check.fresh())
             if not warm:
-                self.reset()
+                self._start_anew()
                 stop = self._fit_cold(events)
-            gain = self._fit.contrasts[1.0].gain(events, self._fit.flow)
-            if gain < self.config.min_contrast_gain or self._is_confined():
+            gain = fit.contrasts[1.0].gain(events, fit.flow)
+            if gain < self.config.min_contrast_gain or self._is_confined(events):
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            apart = distance(looked.result(), self._fit.flow, self._evidence())
-            change = self._change.measure(events, self._fit.flow)
-            quality = self._quality(len(events), stop, gain, warm=warm)
-            quality = replace(quality, change_px=change, second_look_px=apart)
-            result = self._result(window, quality)
+            apart = self._check.disagreement(window, events, fit.flow)
+            quality = self._quality(
+                len(events), stop, gain, warm=warm,
+                change_px=self._change.measure(events, fit.flow),
+                second_look_px=apart.second_look_px, earlier_px=apart.earlier_px,
+                doubt=probability_of_failure(apart),
+            )  # fmt: skip
+            result = self._result(window, quality, apart)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
@@ -145,7 +155,7 @@ class LatticeEstimator:
                 fit.step_free()
                 self._iterations += 1
         fit.linearise(events, 1.0)
-        if self._is_confined():  # refused below: what costs most is spared
+        if self._is_confined(events):  # refused below: what costs most is spared
             return "confined"
         free = fit.free_flow()
         v, w, cost = self._epipolar.search(*free.evidence)
@@ -252,45 +262,38 @@ class LatticeEstimator:
             self._fit.start_rotation(self._epipolar.rotation(*free.evidence)[0])
         return after
 
-    def _is_confined(self) -> bool:
-        """Tell whether all motion is at one spot: perhaps an object before a camera at rest."""
-        return self.config.model == "auto" and self.lattice.spread(self._evidence()) < _CONFINED
+    def _is_confined(self, events: WindowEvents) -> bool:
+        fit = self._fit
+        return self.config.model == "auto" and is_confined(
+            self.lattice, fit.contrasts[1.0], events, fit.flow, self._evidence()
+        )
 
     def _evidence(self) -> Array:
         """How much the events say about the flow at each node, px^-2."""
         return np.trace(self._fit.evidence, axis1=1, axis2=2)
 
-    def _result(self, window: Window, quality: Quality) -> Estimate:
+    def _result(self, window: Window, quality: Quality, apart: Disagreement) -> Estimate:
         """Remember the window that was fitted, and report it."""
-        fit = self._fit
-        assert fit.motion is not None
-        model = self._selector.model
-        belief = self._reader.believe(window, self._free, model, quality.second_look_px)
-        flow = fit.node_flow.mean(axis=1)
-        motion = fit.motion.at(0.5)
-        structure = Structure.observe(self._epipolar, flow, motion, fit.evidence, fit.structure)
-        travels = model is not MotionModel.ROTATION
-        self._last = Memory(
-            window.t_start, window.t_end, fit.flow, fit.motion,
-            belief if travels else None, structure if travels else None,
-        )  # fmt: skip
+        fit, model = self._fit, self._selector.model
+        belief = self._reader.believe(window, self._free, model, apart)
+        self._last = Memory.of(window, fit, None if model is MotionModel.ROTATION else belief)
         if window.gyro is not None:
-            w, covariance = self._reader.rotation_of_events(
-                self._free, model, quality.second_look_px
-            )
+            w, covariance = self._reader.rotation_of_events(self._free, model, apart)
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
-        return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
+        estimate = self._reader.read(window, belief, self._selector, quality, self._gyro.status)
+        self._check.keep(estimate, belief, fit.flow)
+        return estimate
 
-    def _quality(self, used: int, stop: str, gain: float, *, warm: bool) -> Quality:
+    def _quality(self, used: int, stop: str, gain: float, **further: Any) -> Quality:
         runtime = time.perf_counter() - self._started
-        return Quality(used, self._iterations, stop, gain, runtime_s=runtime, warm=warm)
+        return Quality(used, self._iterations, stop, gain, runtime_s=runtime, **further)
 
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")
     ) -> Estimate:
         """Report a window without a confident estimate; the next one starts cold."""
-        self.reset()
-        quality = self._quality(used, str(status), gain, warm=False)
+        self._start_anew()
+        quality = self._quality(used, str(status), gain)
         middle = (window.t_start + window.t_end) // 2
         return Estimate(
             window.t_start, window.t_end, middle, status, quality, gyro=self._gyro.status

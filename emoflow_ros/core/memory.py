@@ -34,6 +34,25 @@ class Memory:
     belief: Belief | None
     structure: Structure | None
 
+    @classmethod
+    def of(cls, window: Window, fit: LatticeFit, belief: Belief | None) -> "Memory":
+        """Take it from a fit; without a belief, as of a rotation, the scene is not known either.
+
+        Args:
+            window: its interval.
+            fit: of the window, with a motion.
+            belief: in the motion.
+        """
+        motion = fit.motion
+        assert motion is not None
+        structure = None
+        if belief is not None:
+            flow = fit.node_flow.mean(axis=1)
+            structure = Structure.observe(
+                fit.epipolar, flow, motion.at(0.5), fit.evidence, fit.structure
+            )
+        return cls(window.t_start, window.t_end, fit.flow, motion, belief, structure)
+
     def reaches(self, window: Window) -> bool:
         """Tell whether a window comes soon enough after this one to start from it."""
         silence = window.t_start - self.t_end

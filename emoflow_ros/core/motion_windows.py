@@ -23,6 +23,9 @@ _FAST = 0.9  # quantile of the displacements that counts: where it is fast, warp
 _LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns back on its way
 _FIRST = 0.25  # of the window in the first part, before any motion is known ...
 _SECOND = 2 / 3  # ... and where that shows none
+# Parts of the next windows while there is no estimate: as a rule the camera hardly moves, and whole
+# windows tell first that it begins to; at times it is too fast for them.
+_RETRIES = (1.0, 0.25, 1.0, 0.06)
 _CHANGE_PX = 2.0  # of the working image, off the fit: what else a part may contain
 _TOO_SHORT = 1.5  # a first part that the motion allows to be so much longer is taken anew
 
@@ -37,16 +40,15 @@ class MotionWindows:
     Events, counted as they came, are what edges leave behind per pixel that they move: a part with
     the events of `max_displacement_px` pixels, as many as the last part's events and displacement
     tell, is short as soon as the camera is fast, and long when events are few. Its length depends
-    on nothing but the windows so far. A part never begins before the one before it, so that the
-    estimates' times grow.
+    on nothing but the windows so far. A part never begins before the last one with an estimate,
+    so that the estimates' times grow.
 
     A displacement is the length of the path: a camera that shakes leaves events on its way back,
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its
     quality) shortens the next one in the same way. The first part holds a quarter of its window's
     events, so that fast motion is not lost at once. Where it shows slow motion the same window is
     estimated anew as a longer part, and where it shows none as two thirds. Where a later part gives
-    no estimate the next one has twice its events, until it is a whole window; then it is min_count
-    events.
+    no estimate the next windows are taken whole, every other one but a quarter or less of it.
 
     Args:
         estimator: of the parts.
@@ -70,6 +72,7 @@ class MotionWindows:
 
     def _forget(self) -> None:
         self._count: int | None = None
+        self._failures = 0
         self._start: int | None = None
 
     def estimate(self, window: Window) -> Estimate:
@@ -77,10 +80,16 @@ class MotionWindows:
         if self._count is None:
             estimate, part = self._estimate_first(window)
         else:
-            part = window.since(self._choose_start(window, self._count))
+            count = self._count
+            if self._failures:
+                count = round(_RETRIES[(self._failures - 1) % len(_RETRIES)] * window.events.came)
+            part = window.since(self._choose_start(window, count))
             estimate = self._estimator.estimate(part)
-        self._start = part.t_start
-        self._count = self._next_count(estimate, part, window)
+        self._count = self._next_count(estimate, part)
+        self._failures += 1
+        if estimate.status is Status.OK:
+            self._failures = 0
+            self._start = part.t_start
         return estimate
 
     def _estimate_first(self, window: Window) -> tuple[Estimate, Window]:
@@ -89,7 +98,7 @@ class MotionWindows:
         part = window.since(self._choose_start(window, round(_FIRST * events)))
         estimate = self._estimator.estimate(part)
         if estimate.status is Status.OK:
-            count = self._next_count(estimate, part, window)
+            count = self._next_count(estimate, part)
         else:
             count = round(_SECOND * events)
         if min(count, events) <= _TOO_SHORT * part.events.came:
@@ -99,7 +108,7 @@ class MotionWindows:
         return self._estimator.estimate(part), part
 
     def _choose_start(self, window: Window, count: int) -> int:
-        """Go back by the number of events, to the window's start or the last part's at most."""
+        """Go back by the number of events, to the window's or the last estimate's start at most."""
         events = window.events
         first = min(len(events) - self._policy.min_count, events.first_of_latest(count))
         start = int(events.t[first]) if first > 0 else window.t_start
@@ -107,7 +116,7 @@ class MotionWindows:
             start = max(start, self._start)
         return min(start, window.t_end - 1)
 
-    def _next_count(self, estimate: Estimate, part: Window, window: Window) -> int:
+    def _next_count(self, estimate: Estimate, part: Window) -> int:
         if estimate.status is Status.OK and estimate.flow is not None:
             moved = max(_STILL_PX, self._displacement(estimate.flow, part))
             longer = self._longest_px / moved
@@ -115,7 +124,7 @@ class MotionWindows:
             if change > 0:  # it grows with the square of the time
                 longer = min(longer, (_CHANGE_PX / change) ** 0.5)
             return round(part.events.came * longer)
-        return 0 if part is window else 2 * part.events.came
+        return part.events.came
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""

@@ -1,16 +1,18 @@
 """Preparation of a window's events for the lattice fit, in the pixels of a working image.
 
-Events of hot pixels and of flickering lamps are left out; the others are thinned and moved to the
+Events of hot pixels and of flickering lamps are left out of whole windows, before the motion
+decides which part of a window is estimated. The part's events are then thinned and moved to the
 working image.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import WindowEvents
+from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -85,18 +87,11 @@ def reduction(sensor: Camera) -> float:
 def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> WindowEvents | None:
     """Take a window's events to the working image, thinned evenly to max_events.
 
-    Events of hot pixels and of flickering lamps are left out first.
-
     Returns:
         None if they are too few, or one burst without the time that motion needs, or all on
         a few pixels without the place that it needs.
     """
     events = window.events
-    inside = events.inside(*image.sensor.size)
-    if not inside.all():
-        events = events[inside]
-    events = without_hot_pixels(events, *image.sensor.size)
-    events = without_flicker(events, *image.sensor.size)
     if len(events) < config.min_events:
         return None
     events = spread(events, config.max_events)
@@ -109,6 +104,40 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     if np.count_nonzero(np.bincount(blocks)) < _FEWEST_BLOCKS:
         return None
     return WindowEvents.prepare(x, y, s, events.p)
+
+
+def clean(window: Window, camera: Camera) -> Window:
+    """Leave out a window's events off the sensor, of hot pixels and of flickering lamps."""
+    events = window.events
+    inside = events.inside(*camera.size)
+    if not inside.all():
+        events = events[inside]
+    events = without_hot_pixels(events, *camera.size)
+    return replace(window, events=without_flicker(events, *camera.size))
+
+
+class CleanWindows:
+    """Leaves out what tells no motion before windows are estimated (an Estimator).
+
+    This comes before the motion decides how many events of a window are estimated: a lamp may
+    send a hundred times as many as the edges, and shows its frequency in a long window only.
+
+    Args:
+        estimator: of the clean windows.
+        camera: whose pixels the events lie on.
+    """
+
+    def __init__(self, estimator: Estimator, camera: Camera) -> None:
+        self._estimator = estimator
+        self._camera = camera
+
+    def reset(self) -> None:
+        """Forget previous windows: the next one starts cold."""
+        self._estimator.reset()
+
+    def estimate(self, window: Window) -> Estimate:
+        """Fit flow and egomotion to what stays of a window."""
+        return self._estimator.estimate(clean(window, self._camera))
 
 
 def without_hot_pixels(events: Events, width: int, height: int) -> Events:

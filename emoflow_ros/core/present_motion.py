@@ -2,34 +2,28 @@
 
 A window's estimate holds at its middle, and comes after its last event by the time that it takes to
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
-makes of it: that is six numbers, for which a short slice of events is enough. At a node with the
-window's flow u0 and inverse depth rho, both per second, the flow of now is
-
-    u = u0 + b (w - w0) + rho a (v - v0),
-
-with the matrices a and b of the motion field (core.camera_motion). The contrast of the slice's
-events and the window's estimate, carried on by a random walk or by a gyro, decide on w and v
-together.
+makes of it: that is six numbers (core.known_scene), for which a short slice of events is enough.
+The contrast of the slice's events and the window's estimate, carried on by a random walk or by a
+gyro, decide on w and v together.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsbmv
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Status, Twist
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
+from emoflow_ros.core.known_scene import KnownScene, inverse_depths
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.preparation import WorkingImage, prepare
+from emoflow_ros.core.preparation import WorkingImage, clean, prepare
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
@@ -47,18 +41,16 @@ _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
 @dataclass(frozen=True)
 class _Scene:
-    """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and flow in px/s.
+    """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and the scene.
 
-    `by_motion` (nodes, 2, 6) are the flow's derivatives by w and v, `gyro` the gyro's angular
-    velocity at t, or None.
+    `gyro` is the gyro's angular velocity at t, or None.
     """
 
     t: int
     length_ns: int
     motion: Array
     covariance: Array
-    flow: Array
-    by_motion: Array
+    known: KnownScene
     travels: bool
     gyro: Array | None
 
@@ -107,7 +99,7 @@ class PresentMotion:
         scene = self._scene
         if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:
             return None
-        part = window.since(window.t_end - scene.length_ns)
+        part = clean(window, self._image.sensor).since(window.t_end - scene.length_ns)
         events = prepare(part, self._image, self._config)
         if events is None:
             return None
@@ -122,8 +114,15 @@ class PresentMotion:
         if turned is not None:
             predicted[:3] = turned
             known[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
+        free = 6 if scene.travels else 3
+        prior = predicted[:free], np.linalg.inv(known[:free, :free])
+        change = np.zeros(6)
         try:
-            change, covariance = self._fit(scene, part.duration, events, predicted, known)
+            change[:free], information = scene.known.fit(
+                self._contrast, self._equations, events, part.duration, prior, prior[0], _STEPS
+            )
+            covariance = known
+            covariance[:free, :free] = np.linalg.inv(information)
         except np.linalg.LinAlgError:
             return None
         now = self._turned(scene, window.t_end, window.gyro)
@@ -140,11 +139,7 @@ class PresentMotion:
         moved = flow.tracks(points, [estimate.t, estimate.t + _FLOW_STEP_NS])[1] - points
         rate = moved / image.sensor_px * (NS_PER_S / _FLOW_STEP_NS)
         w, v = estimate.angular, estimate.linear
-        line = epipolar.a @ v
-        along = ((rate - epipolar.b @ w) * line).sum(axis=-1)
-        inverse_depth = np.maximum(0.0, along / ((line**2).sum(axis=-1) + epipolar.soft**2))
-        by_motion = np.concatenate([epipolar.b, inverse_depth[:, None, None] * epipolar.a], axis=-1)
-        by_motion *= epipolar.usable[:, None, None]
+        known = KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
         travels = estimate.translation_observable
         order = np.r_[3:6, 0:3]
         covariance = estimate.covariance[np.ix_(order, order)].copy()
@@ -157,44 +152,12 @@ class PresentMotion:
             turn = _measured(gyro, estimate.t)
         length = estimate.t_end - estimate.t_start
         motion = np.concatenate([w, v])
-        return _Scene(estimate.t, length, motion, covariance, rate, by_motion, travels, turn)
+        return _Scene(estimate.t, length, motion, covariance, known, travels, turn)
 
     def _turned(self, scene: _Scene, t: int, gyro: GyroReadings | None) -> Array | None:
         """Change of w (3,) since the scene was seen as the gyro tells it, bias and all."""
         now = _measured(gyro, t)
         return None if now is None or scene.gyro is None else now - scene.gyro
-
-    def _fit(
-        self, scene: _Scene, duration: float, events: WindowEvents, predicted: Array, known: Array
-    ) -> tuple[Array, Array]:
-        """Newton steps on the contrast from what is predicted, which has the covariance `known`.
-
-        Returns:
-            The change (6,) of (w, v), and its covariance (6, 6).
-
-        Raises:
-            numpy.linalg.LinAlgError: there is no best change.
-        """
-        free = 6 if scene.travels else 3
-        lattice, equations = self._lattice, self._equations
-        by_motion = duration * scene.by_motion[..., :free]
-        rows = np.repeat(by_motion[:, None], lattice.times, axis=1).reshape(-1, free)
-        prior = np.linalg.inv(known[:free, :free])
-        change = predicted[:free].copy()
-        for _ in range(_STEPS):
-            still = duration * scene.flow + by_motion @ change
-            flow = np.repeat(still[:, None], lattice.times, axis=1).reshape(lattice.shape)
-            equations.clear()
-            self._contrast.linearise(
-                events, flow.astype(np.float32), equations.vector, equations.band
-            )
-            force = rows.T @ equations.vector / INFORMATION_EXCESS
-            curvature = rows.T @ _times_band(equations.band, rows) / INFORMATION_EXCESS
-            information = curvature + prior
-            change += np.linalg.solve(information, force - prior @ (change - predicted[:free]))
-        covariance = known.copy()
-        covariance[:free, :free] = np.linalg.inv(information)
-        return np.concatenate([change, np.zeros(6 - free)]), covariance
 
 
 def _drift_by(configured: float, change: Array, seconds: float) -> float:
@@ -215,12 +178,6 @@ def _measured(gyro: GyroReadings | None, t: int) -> Array | None:
     if len(near) == 0 or not np.isfinite(near.w).all():
         return None
     return fit_shape(near, t - _GYRO_MEAN_NS, t + _GYRO_MEAN_NS).coefficients[0]
-
-
-def _times_band(band: Array, columns: Array) -> Array:
-    """Multiply a symmetric matrix in lower band storage with columns (n, m)."""
-    products = [dsbmv(band.shape[1] - 1, 1.0, band.T, column, lower=1) for column in columns.T]
-    return np.stack(products, axis=1)
 
 
 def _read(t: int, scene: _Scene, change: Array, covariance: Array) -> PresentTwist | None:

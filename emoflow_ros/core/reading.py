@@ -15,9 +15,8 @@ from emoflow_ros.core.lattice import LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.preparation import WorkingImage
-from emoflow_ros.core.second_look import probability_of_failure
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.uncertainty import Claims, PossibleMotions, without_travel
+from emoflow_ros.core.uncertainty import Claims, Disagreement, PossibleMotions, without_travel
 
 Array = NDArray[np.float64]
 
@@ -49,14 +48,16 @@ class EstimateReader:
         self.possible = PossibleMotions()
         self._claims = Claims()
 
-    def believe(self, window: Window, free: FreeFlow, model: MotionModel, apart: float) -> Belief:
+    def believe(
+        self, window: Window, free: FreeFlow, model: MotionModel, apart: Disagreement
+    ) -> Belief:
         """Tell the motion in the middle of a window that has been fitted, and its covariance.
 
         Args:
             window: its interval.
             free: the flow as the events alone see it.
             model: of the motion.
-            apart: distance to the second fit of the flow, px per window.
+            apart: how far other explanations lie from the fit.
         """
         fit = self._fit
         assert fit.motion is not None
@@ -72,7 +73,7 @@ class EstimateReader:
         squares = ((flow - self._epipolar.b @ w) ** 2).sum(axis=-1)
         parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
         known = None if free.known is None else free.known[1]
-        covariance = possible.covariance(apart, parallax, self._epipolar.px_per_rad, known)
+        covariance = possible.covariance(apart, w, parallax, self._epipolar.px_per_rad, known)
         unit = np.repeat([window.duration, 1.0], 3)
         if fit.known is not None:
             w = w + fit.known.bend
@@ -128,14 +129,14 @@ class EstimateReader:
         )
 
     def rotation_of_events(
-        self, free: FreeFlow, model: MotionModel, apart: float
+        self, free: FreeFlow, model: MotionModel, apart: Disagreement
     ) -> tuple[Array, Array]:
         """Tell the angular velocity without the gyro, for the gyro to learn from.
 
         Args:
             free: the flow as the events alone see it.
             model: of the motion.
-            apart: distance to the second fit of the flow, px per window.
+            apart: how far other explanations lie from the fit.
 
         Returns:
             w (3,) in the middle of the window and its covariance (3, 3), rad per window.
@@ -152,18 +153,18 @@ class EstimateReader:
             possible = PossibleMotions.weigh(
                 (w, v), (directions, rotations, costs - cost), (turn, turn_cost - cost)
             )
-        covariance = possible.covariance(apart, 1.0, epipolar.px_per_rad)[:3, :3]
+        apart = replace(apart, w=None)  # that one may have come from the gyro
+        covariance = possible.covariance(apart, w, 1.0, epipolar.px_per_rad)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend
         return w + possible.mean[:3] + bend, covariance
 
     def _judge(self, quality: Quality, motion: Motion) -> Quality:
-        """Add residuals of the epipolar constraint and the probability of failure."""
+        """Add residuals of the epipolar constraint."""
         residual = self._epipolar.residuals(self._fit.node_flow, motion).r[self._epipolar.usable]
         scale = 1.4826 * float(np.median(np.abs(residual)))
         inliers = float(np.mean(np.abs(residual) <= 3 * scale))
-        judged = replace(
+        return replace(
             quality,
             residual_px=scale * float(self._image.sensor_px.max()),
             inlier_fraction=inliers,
         )
-        return replace(judged, doubt=probability_of_failure(quality.second_look_px))

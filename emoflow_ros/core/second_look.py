@@ -8,23 +8,22 @@ distance follows the probability that the estimate is wrong.
 """
 
 import math
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.contrast import (
-    ContrastFactory,
     ImageContrast,
     WindowEvents,
     best_constant_flow,
 )
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice import Lattice, bilinear
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.uncertainty import Disagreement
 
 F32 = NDArray[np.float32]
 
@@ -32,17 +31,19 @@ _ALL = 1_000_000_000
 # Scale of the image, number of events, steps. With a part of the events in the last ones the
 # distance from the estimate says less about its error; full resolution adds nothing.
 _STEPS = ((0.25, 2_000, 5), (0.5, _ALL, 2))
+SCALES = tuple(scale for scale, _, _ in _STEPS)
 
 _EVENTS = 2_000  # are enough at low resolution
 _REACH_PX = 16.0  # of the fresh search, per window
+_SHARE = 0.75  # of the events: a few at the edges of depth may lie far apart
 _BETTER = 1.05  # contrast of a constant flow over that of the fit from which the fit is lost
 
-# Logistic regression of "the end-point error exceeds half of the displacement, or w is off by 3 of
-# its standard deviations and 5 deg/s" over 6000 windows of the random recordings with seeds 0 to
-# 59 and those of the shared data; on these windows its area under the ROC curve is 0.79
-# (docs/method.md).
-_CONSTANT = -2.459
-_OF_SECOND_LOOK = 1.143  # natural logarithm of the distance plus 0.1 px
+# Logistic regression of "the end-point error exceeds half of the displacement, or w or v is off by
+# 3 of its standard deviations and 5 deg/s or 20 degrees" over 6000 windows of the random
+# recordings with seeds 0 to 59 and those of the shared data (docs/method.md). Constant, then
+# factors of the natural logarithms of the distances plus 0.1 px.
+_ALONE = -2.03, 0.80
+_BOTH = -1.34, 0.90, 0.89, -0.86
 
 
 class SecondLook:
@@ -54,37 +55,16 @@ class SecondLook:
 
     Args:
         lattice: of the flow.
-        make_contrast: where the contrast is computed.
+        contrasts: by scale, those of SCALES.
         config: for the smoothness.
     """
 
     def __init__(
-        self, lattice: Lattice, make_contrast: ContrastFactory, config: LatticeConfig
+        self, lattice: Lattice, contrasts: Mapping[float, ImageContrast], config: LatticeConfig
     ) -> None:
         self._equations = NormalEquations(lattice, 0)
-        self._contrasts = {scale: make_contrast(lattice, scale) for scale, _, _ in _STEPS}
+        self._contrasts = contrasts
         self._config = config
-        self._shape = lattice.shape
-        self._thread = ThreadPoolExecutor(1, "second_look")
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the thread, which a checkpoint of a run cannot hold."""
-        return {name: value for name, value in vars(self).items() if name != "_thread"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Begin with a thread of its own."""
-        vars(self).update(state)
-        self._thread = ThreadPoolExecutor(1, "second_look")
-
-    def begin(self, events: WindowEvents) -> tuple[Future[F32], Future[F32]]:
-        """Start in another thread, for the fit to go on meanwhile where a core is free.
-
-        Returns:
-            What `fresh_start` and then `flow` are going to find.
-        """
-        coarse, shape = self._contrasts[_STEPS[0][0]], self._shape
-        fresh = self._thread.submit(fresh_start, coarse, events, shape)
-        return fresh, self._thread.submit(lambda: self.flow(events, fresh.result()))
 
     def flow(self, events: WindowEvents, start: F32) -> F32:
         """Fit the flow (columns, rows, times, 2), px per window.
@@ -107,16 +87,18 @@ class SecondLook:
         return flow
 
 
-def distance(one: F32, other: F32, evidence: NDArray[np.float64]) -> float:
-    """Return how far two flows lie apart: the root mean square over the evidence, px per window.
+def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> float:
+    """Return how far two flows lie apart at most at three quarters of the events, px per window.
 
     Args:
-        one, other: (columns, rows, times, 2), px per window.
-        evidence: (nodes,) how much the events say about the flow at each node.
+        lattice: of the flows.
+        one, other: (columns, rows, times, 2), px per window; their means over time count.
+        events: of the window.
     """
-    apart = (one - other).mean(axis=2).reshape(-1, 2).astype(np.float64)
-    squares = (apart**2).sum(axis=1)
-    return float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
+    few = _some(events)
+    points = np.stack([few.x, few.y], axis=-1).astype(np.float64)
+    apart = bilinear((one - other).mean(axis=2), points, lattice.per_px)
+    return float(np.quantile(np.linalg.norm(apart, axis=-1), _SHARE))
 
 
 def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) -> F32:
@@ -157,13 +139,14 @@ def _some(events: WindowEvents) -> WindowEvents:
     return events.every(max(1, len(events) // _EVENTS))
 
 
-def probability_of_failure(second_look_px: float) -> float:
-    """Tell how likely a window's estimate is wrong, from 0 to 1.
-
-    Args:
-        second_look_px: distance to the fit of `SecondLook`, px per window.
-    """
-    score = _CONSTANT + _OF_SECOND_LOOK * math.log(second_look_px + 0.1)
+def probability_of_failure(apart: Disagreement) -> float:
+    """Tell how likely a window's estimate is wrong, from 0 to 1."""
+    look = math.log(apart.second_look_px + 0.1)
+    if math.isnan(apart.earlier_px):
+        score = _ALONE[0] + _ALONE[1] * look
+    else:
+        earlier, moved = math.log(apart.earlier_px + 0.1), math.log(apart.moved_px + 0.1)
+        score = _BOTH[0] + _BOTH[1] * look + _BOTH[2] * earlier + _BOTH[3] * moved
     return 1 / (1 + math.exp(-score))
 
 

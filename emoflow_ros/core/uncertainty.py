@@ -19,12 +19,32 @@ Array = NDArray[np.float64]
 # Chosen on the random recordings with seeds 0 to 59 and those of another simulator
 # (docs/method.md).
 _OF_W, _OF_V = 0.45, 0.2  # shares of the distance of the second fit that are w's and v's errors
+# With an earlier scene: share of the same distance that is w's error, and share of the squared
+# difference of the two values of w that is the variance.
+_OF_W_TOO, _OF_EARLIER = 0.2, 0.2
 _LEAST_PX, _MOST_PX = 0.3, 4.0  # of that distance: it is a sample, which may be small by chance
 _LEAST_PARALLAX_PX = 0.1
 _CLAIMED = 0.3  # rad: spread of the possible directions of travel from which none is claimed
 _LASTING = 3  # windows before this one, of which ...
 _CONFIRMING = 2  # must have told the same direction, up to ...
 _SAME = np.cos(np.radians(40.0))  # and none another one
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """How far other explanations of a window lie from its estimate.
+
+    Attributes:
+        second_look_px: distance to a fresh fit of the flow, px per window.
+        moved_px: the length of the flow at three quarters of the events at most, px per window.
+        earlier_px: distance to the flow by an earlier scene, px per window; NaN without one.
+        w: (3,) angular velocity by that scene, rad per window; None without one.
+    """
+
+    second_look_px: float
+    moved_px: float
+    earlier_px: float = float("nan")
+    w: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +89,8 @@ class PossibleMotions:
 
     def covariance(
         self,
-        second_look_px: float,
+        apart: Disagreement,
+        w: Array,
         parallax_px: float,
         px_per_rad: float,
         known: Array | None = None,
@@ -77,16 +98,20 @@ class PossibleMotions:
         """Covariance (6, 6) of (w, v), w in rad per window.
 
         Args:
-            second_look_px: distance to the second fit of the flow, px per window.
+            apart: how far other explanations lie from the estimate.
+            w: (3,) the estimate, rad per window.
             parallax_px: size of the flow without the rotation's part, px per window: the shorter,
                 the more an error of the flow turns v.
             px_per_rad: focal length.
             known: (3, 3) information on w from elsewhere.
         """
-        apart = float(np.clip(second_look_px, _LEAST_PX, _MOST_PX))
-        of_w = _OF_W * apart / px_per_rad
-        of_v = _OF_V * apart / max(parallax_px, _LEAST_PARALLAX_PX)
-        covariance = self.spread + np.diag(np.repeat([of_w**2, of_v**2], 3))
+        look = float(np.clip(apart.second_look_px, _LEAST_PX, _MOST_PX))
+        of_w = (_OF_W * look / px_per_rad) ** 2
+        of_v = (_OF_V * look / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2
+        if apart.w is not None:
+            of_w = (_OF_W_TOO * look / px_per_rad) ** 2
+            of_w += _OF_EARLIER * float(((w - apart.w) ** 2).sum()) / 3
+        covariance = self.spread + np.diag(np.repeat([of_w, of_v], 3))
         if known is None:
             return covariance
         information = np.linalg.inv(covariance)

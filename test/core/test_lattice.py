@@ -216,39 +216,3 @@ def test_an_interval_of_many_windows_takes_bounded_time():
     )
     tracks = flow.tracks(CENTRE[None], [START - 100 * MS, START])
     np.testing.assert_allclose(tracks[1] - CENTRE, [[100.0, 0.0]], rtol=1e-4)
-
-
-def test_spread_is_the_area_of_a_spot():
-    """Of a block of m x n nodes the variances are (m^2 - 1) / 12 cells along x, likewise y."""
-    spot = np.zeros((14, 11))
-    spot[3:8, 2:6] = 2.5
-    area = np.sqrt((5**2 - 1) * (4**2 - 1)) * np.prod(1 / LATTICE.per_px) / (346 * 260)
-    assert LATTICE.spread(spot.ravel()) == pytest.approx(area, rel=1e-6)
-    assert LATTICE.spread((spot + 7 * SHARE).ravel()) == pytest.approx(area, rel=1e-6)  # even noise
-
-
-SHARE = np.outer([0.5, *[1] * 12, 0.5], [0.5, *[1] * 9, 0.5])  # of a cell, around a node
-
-
-def test_evidence_all_over_the_image_spreads_over_all_of_it():
-    checkers = np.indices((14, 11)).sum(0) % 2
-    assert LATTICE.spread((checkers * SHARE).ravel()) == pytest.approx(1.0, abs=0.02)
-    assert LATTICE.spread(SHARE.ravel()) == 1.0
-    random = np.random.default_rng(1).gamma(1.0, size=(50, 14, 11)) * SHARE
-    assert min(LATTICE.spread(e.ravel()) for e in random) > 0.8
-
-
-def test_evidence_on_a_line_has_no_spread():
-    for seed in range(20):
-        line = np.zeros((14, 11))
-        first, step = np.random.default_rng(seed).integers(1, 5, 2)
-        line[first + 2 * np.arange(3), step + np.arange(3)] = 1.0
-        assert LATTICE.spread(line.ravel()) == pytest.approx(0.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("nodes", [3, 4])
-def test_few_nodes_cannot_tell_a_spot(nodes):
-    lattice = Lattice(64, 64, nodes, nodes)
-    spot = np.zeros((nodes, nodes))
-    spot[1, 1] = 1.0
-    assert lattice.spread(spot.ravel()) == 1.0

@@ -9,6 +9,7 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.preparation import clean
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 CONFIG = LatticeConfig()
@@ -30,8 +31,9 @@ class Run:
 
 def run_of(scene: str, duration_s: float = 0.3, policy: WindowPolicy = WHOLE) -> Run:
     recording = simulate(scene, duration_s=duration_s, seed=1, fps=500, start_ns=START)
-    windows = WindowSlicer(policy).push(recording.events)
-    estimator = LatticeEstimator(recording.camera, CONFIG)
+    camera = recording.camera
+    windows = [clean(window, camera) for window in WindowSlicer(policy).push(recording.events)]
+    estimator = LatticeEstimator(camera, CONFIG)
     return Run(recording, windows, [estimator.estimate(w) for w in windows])
 
 
@@ -236,7 +238,8 @@ def test_events_beyond_the_sensor_are_ignored(calm):
     y = np.insert(window.events.y, [0, 500, 90_000], [0, 7, 260])
     t = np.insert(window.events.t, [0, 500, 90_000], window.events.t[[0, 499, 89_999]])
     p = np.insert(window.events.p, [0, 500, 90_000], True)
-    estimate = calm.estimator().estimate(Window(window.t_start, window.t_end, Events(x, y, t, p)))
+    more = Window(window.t_start, window.t_end, Events(x, y, t, p))
+    estimate = calm.estimator().estimate(clean(more, calm.recording.camera))
     assert same(estimate, calm.estimates[0])
 
 

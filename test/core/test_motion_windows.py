@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
+from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
+from emoflow_ros.core.preparation import CleanWindows
 from emoflow_ros.core.second_look import ReliableOnly
 
 MS = 1_000_000
@@ -192,11 +193,11 @@ def test_texture_is_learnt_in_one_window():
     assert moved[-1] == pytest.approx(8.0, abs=2 / PER_PX)
 
 
-def test_without_an_estimate_parts_grow_to_the_whole_window_and_begin_anew():
-    path = Path([100.0] * 9)
-    parts = run(path, policy(8.0, duration_ms=200.0, stride_ms=100.0), fails=lambda k: k < 6)
-    assert [len(p.events) for p in parts[:7]] == [250, 667, 1000, 100, 200, 400, 800]
-    assert path.between(parts[7].t_start, parts[7].t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
+def test_without_an_estimate_windows_are_whole_and_every_other_one_shorter():
+    path = Path([100.0] * 10)
+    parts = run(path, policy(8.0, duration_ms=200.0, stride_ms=100.0), fails=lambda k: k < 7)
+    assert [len(p.events) for p in parts[:7]] == [250, 667, 1000, 250, 1000, 100, 1000]
+    assert path.between(parts[8].t_start, parts[8].t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
 
 
 def test_reset_forgets_the_motion_and_resets_the_estimator():
@@ -232,17 +233,20 @@ def test_windows_whose_last_events_lie_at_their_end_have_a_length():
 )
 def test_parts_move_on_and_depend_on_the_past_only(speeds, bound, failing, kept):
     def parts(path):
-        """The last part of each window: the first window may be estimated twice."""
+        """The last part of each window, and whether it has an estimate.
+
+        The first window may be estimated twice.
+        """
         estimated = run(path, policy(bound), fails=lambda k: k in failing)
-        return list({p.t_end: p for p in estimated}.values())
+        return list({p.t_end: (p, k not in failing) for k, p in enumerate(estimated)}.values())
 
     whole = parts(Path(speeds))
-    for a, b in pairwise(whole):
+    for a, b in pairwise(p for p, succeeds in whole if succeeds):
         assert a.t_start <= b.t_start < b.t_end
         assert a.t_end < b.t_end
     early = parts(Path(speeds[: -kept or None]))
-    ends = [(p.t_start, p.t_end, len(p.events)) for p in early]
-    assert [(p.t_start, p.t_end, len(p.events)) for p in whole][: len(ends)] == ends
+    ends = [(p.t_start, p.t_end, len(p.events)) for p, _ in early]
+    assert [(p.t_start, p.t_end, len(p.events)) for p, _ in whole][: len(ends)] == ends
 
 
 def test_nine_tenths_of_the_image_keep_to_the_bound():
@@ -271,13 +275,16 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
 def test_windows_are_taken_whole_unless_a_bound_is_set():
     all_of_them = {"estimator.max_doubt": 1.0}
     whole = load_config(overrides={"window.max_displacement_px": 0.0, **all_of_them})
-    assert isinstance(make_bounded(whole), LatticeEstimator)
-    assert isinstance(make_bounded(load_config(overrides=all_of_them)), MotionWindows)
-    assert isinstance(make_bounded(load_config()), ReliableOnly)
+    assert layers(whole) == [BoundedWindows, CleanWindows, LatticeEstimator]
+    by_motion = [BoundedWindows, CleanWindows, MotionWindows, LatticeEstimator]
+    assert layers(load_config(overrides=all_of_them)) == by_motion
+    assert layers(load_config()) == [BoundedWindows, ReliableOnly, *by_motion[1:]]
 
 
-def make_bounded(config: Config) -> Estimator:
-    """Return what is inside the estimator that bounds the windows' events."""
-    estimator = make_estimator(CAMERA, config)
-    assert isinstance(estimator, BoundedWindows)
-    return estimator._estimator
+def layers(config: Config) -> list[type]:
+    """Return the classes of the estimator and of what it wraps, from the outside."""
+    found, estimator = [], make_estimator(CAMERA, config)
+    while estimator is not None:
+        found.append(type(estimator))
+        estimator = getattr(estimator, "_estimator", None)
+    return found

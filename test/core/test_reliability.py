@@ -6,19 +6,33 @@ import pytest
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.second_look import ReliableOnly, probability_of_failure
+from emoflow_ros.core.uncertainty import Disagreement
 
 WINDOW = Window(0, 100, Events.empty())
 
 
+def doubt(look: float, earlier: float = np.nan, moved: float = 8.0) -> float:
+    return probability_of_failure(Disagreement(look, moved, earlier))
+
+
 def test_the_regression_by_hand():
-    score = -2.459 + 1.143 * np.log(1.1)
-    assert probability_of_failure(1.0) == pytest.approx(1 / (1 + np.exp(-score)), rel=1e-9)
+    alone = -2.03 + 0.8 * np.log(1.1)
+    assert doubt(1.0) == pytest.approx(1 / (1 + np.exp(-alone)), rel=1e-9)
+    both = -1.34 + 0.9 * np.log(1.1) + 0.89 * np.log(0.6) - 0.86 * np.log(8.1)
+    assert doubt(1.0, 0.5) == pytest.approx(1 / (1 + np.exp(-both)), rel=1e-9)
 
 
-def test_the_further_the_second_look_the_less_reliable():
-    doubts = [probability_of_failure(distance) for distance in (0.0, 0.5, 1.0, 2.0, 5.0, 1e6)]
+def test_the_further_other_explanations_lie_the_less_reliable():
+    doubts = [doubt(distance) for distance in (0.0, 0.5, 1.0, 2.0, 5.0, 1e6)]
     assert doubts == sorted(doubts)
     assert doubts[0] < 0.05 < 0.25 < doubts[-2] < doubts[-1] <= 1
+    earlier = [doubt(1.0, distance) for distance in (0.0, 0.5, 1.0, 2.0, 5.0, 1e6)]
+    assert earlier == sorted(earlier)
+    assert earlier[0] < 0.02 < 0.15 < earlier[-2] < earlier[-1] <= 1
+
+
+def test_the_same_distance_counts_less_where_the_image_moves_more():
+    assert doubt(1.0, 1.0, moved=20.0) < 0.5 * doubt(1.0, 1.0, moved=5.0)
 
 
 class Scripted:

@@ -3,12 +3,17 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.uncertainty import Claims, PossibleMotions, without_travel
+from emoflow_ros.core.uncertainty import Claims, Disagreement, PossibleMotions, without_travel
 
 W = np.array([0.02, -0.05, 0.03])  # rad per window
 V = np.array([0.6, 0.0, 0.8])
 FOCAL_PX = 226.0
 NEVER = 1e9  # more cost than any flow has
+
+
+def covariance_of(possible, distance_px=1.0, *, w=None, known=None) -> np.ndarray:
+    apart = Disagreement(distance_px, 5.0, 1.0, w)
+    return possible.covariance(apart, W, 5.0, FOCAL_PX, known)
 
 
 def turned(angle: float) -> np.ndarray:
@@ -52,30 +57,35 @@ def test_a_cost_far_below_the_present_one_is_no_overflow():
 
 def test_without_other_motions_the_distance_of_the_second_fit_is_the_error():
     """45 % of it for w; for v 20 %, the more the shorter the parallax."""
-    covariance = PossibleMotions().covariance(2.0, 5.0, FOCAL_PX)
+    covariance = covariance_of(PossibleMotions(), 2.0)
     expected = np.repeat([(0.9 / FOCAL_PX) ** 2, (0.4 / 5.0) ** 2], 3)
     np.testing.assert_allclose(covariance, np.diag(expected))
 
 
 @pytest.mark.parametrize(("distance_px", "counts_as"), [(0.0, 0.3), (1.0, 1.0), (50.0, 4.0)])
 def test_the_distance_is_bounded_on_both_sides(distance_px, counts_as):
-    covariance = PossibleMotions().covariance(distance_px, 5.0, FOCAL_PX)
+    covariance = covariance_of(PossibleMotions(), distance_px)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(0.45 * counts_as / FOCAL_PX)
 
 
 def test_the_spread_adds_to_the_error():
     possible = weigh(np.add(W, [0.0, 0.04, 0.0]), turned(0.4), 0.0)
-    added = possible.covariance(1.0, 5.0, FOCAL_PX) - PossibleMotions().covariance(
-        1.0, 5.0, FOCAL_PX
-    )
+    added = covariance_of(possible) - covariance_of(PossibleMotions())
     np.testing.assert_allclose(added, possible.spread, atol=1e-15)
+
+
+def test_with_an_earlier_scene_a_fifth_of_its_squared_difference_is_the_variance():
+    """And a fifth of the distance of the second fit in place of 45 % of it."""
+    found = covariance_of(PossibleMotions(), 2.0, w=W + np.array([0.03, 0.0, -0.04]))
+    of_w = (0.4 / FOCAL_PX) ** 2 + 0.2 * 0.0025 / 3
+    np.testing.assert_allclose(found, np.diag([of_w] * 3 + [(0.4 / 5.0) ** 2] * 3))
 
 
 def test_what_is_known_of_w_lessens_its_covariance_and_that_of_v_with_it():
     possible = weigh(np.add(W, [0.0, 0.04, 0.0]), turned(0.4), 0.0)
     known = np.eye(3) / 0.001**2
-    free = possible.covariance(1.0, 5.0, FOCAL_PX)
-    tied = possible.covariance(1.0, 5.0, FOCAL_PX, known)
+    free = covariance_of(possible)
+    tied = covariance_of(possible, known=known)
     assert np.linalg.eigvalsh(tied[:3, :3]).max() < 0.001**2
     assert np.trace(tied[3:, 3:]) < 0.75 * np.trace(free[3:, 3:])
     np.testing.assert_allclose(np.linalg.inv(tied)[3:, 3:], np.linalg.inv(free)[3:, 3:])
