@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core import kernels
+from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import gather_cells
 
@@ -201,11 +201,12 @@ class Contrast:
         np.subtract(parts.sum(axis=0), parts, out=parts)  # now what the other parts draw
         self._gradient[:] = 0.0
         self._curvature[:] = 0.0
-        kernels.pull(
+        drawn = (
             events.x, events.y, events.s, events.weights, ref, position,
-            parts, self.scale, self.lattice.per_px, STIFFNESS_STRIDE,
-            self._gradient, self._curvature,
+            parts, self.scale, self.lattice.per_px,
         )  # fmt: skip
+        derivatives.pull(*drawn, self._gradient)
+        derivatives.stiffen(*drawn, STIFFNESS_STRIDE, self._curvature)
         slope = self._area * PAIRS
         gather_cells(self._gradient, self._curvature, slope, slope * PAIRS, vector, band)
 

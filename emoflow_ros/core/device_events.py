@@ -30,7 +30,7 @@ class DeviceEvents:
         part: (S,) which part of the window an event belongs to, see Contrast.
         copies: (S,) how many events the stiffness of this one stands for; 0 where not taken.
         nodes, hats: (S, 8) the nodes around an event in space and time, and their weights.
-        basis: (S, 8) weights of the cell's nodes in the derivatives (kernels.pull).
+        basis: (S, 8) weights of the cell's nodes in the derivatives (derivatives.pull).
         members: (cells, S / 64) 1 where a block belongs to a cell.
     """
 

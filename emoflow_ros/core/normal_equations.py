@@ -146,7 +146,7 @@ def gather_cells(
     """Add the cells' gradients and curvatures to the lattice's vector and band matrix.
 
     Args:
-        gradient, curvature: as `pull` fills them.
+        gradient, curvature: as `derivatives.pull` and `stiffen` fill them.
         slope, stiffness: factors of the gradients and of the curvatures.
         vector: (n,), n = columns * rows * times * 2.
         band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).

@@ -190,22 +190,23 @@ def _flickering_blocks(
 ) -> NDArray[np.bool_]:
     count = -(-width // _LAMP_BLOCK) * -(-height // _LAMP_BLOCK)
     part = np.minimum((seconds * (_LAMP_PARTS / seconds[-1])).astype(np.intp), _LAMP_PARTS - 1)
-    cell = part * count + _lamp_blocks(events, width)
-    n = np.bincount(cell, minlength=_LAMP_PARTS * count).reshape(_LAMP_PARTS, count)
+    block = _lamp_blocks(events, width)
+    n = np.bincount(part * count + block, minlength=_LAMP_PARTS * count).reshape(-1, count)
     often = n.min(axis=0) >= _CERTAIN
     flickers = np.zeros(count, np.bool_)
-    if not often.any():
-        return flickers
-    sign = np.where(events.p, 1.0, -1.0)
     for frequency in MAINS_HZ:
-        angle = (2 * np.pi * frequency) * seconds
-        waves = [
-            np.bincount(cell, sign * wave(angle), _LAMP_PARTS * count).reshape(_LAMP_PARTS, count)
-            for wave in (np.cos, np.sin)
-        ]
-        coherence = np.hypot(*waves) / np.maximum(n, 1)
-        certain = (n * coherence**2).min(axis=0) > _CERTAIN
-        flickers |= certain & (coherence.min(axis=0) > _COHERENT)
+        certain = often.copy()
+        for k in range(_LAMP_PARTS):  # few blocks are left after the first
+            some = np.flatnonzero((part == k) & certain[block])
+            angle = (2 * np.pi * frequency) * seconds[some]
+            sign = np.where(events.p[some], 1.0, -1.0)
+            waves = [np.bincount(block[some], sign * wave(angle), count)
+                     for wave in (np.cos, np.sin)]  # fmt: skip
+            coherence = np.hypot(*waves) / np.maximum(n[k], 1)
+            certain &= (n[k] * coherence**2 > _CERTAIN) & (coherence > _COHERENT)
+            if not certain.any():
+                break
+        flickers |= certain
     return flickers
 
 

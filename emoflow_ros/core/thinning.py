@@ -142,9 +142,8 @@ def spread(events: Events, count: int) -> Events:
         if len(events) <= count:
             return events
         return events[np.arange(count) * len(events) // count]
-    place = np.cumsum(events.stands_for, dtype=np.int64)
-    steps = np.searchsorted(place, np.arange(count) * place[-1] // count, side="right")
-    return events[steps[np.diff(steps, prepend=-1) > 0]]
+    chosen = np.empty(count, np.intp)
+    return events[chosen[: _steps(np.ascontiguousarray(events.stands_for), events.came, chosen)]]
 
 
 def _thin_pieces(events: Events, bounds: NDArray[np.intp], limits: NDArray[np.int64]) -> Events:
@@ -204,6 +203,24 @@ def _candidate(k, step, phase):  # type: ignore[no-untyped-def]
 
 def _column(kind: types.Type) -> types.Array:
     return types.Array(kind, 1, "C", readonly=True)
+
+
+@njit(types.intp(_column(types.uint32), types.int64, types.intp[::1]), cache=True, nogil=True)
+def _steps(stands_for, came, chosen):  # type: ignore[no-untyped-def]
+    """Write the indices of the events at equal steps of the stream; return their number.
+
+    With n = len(chosen) step k is event k * came // n of the stream. It lies before the end of an
+    event's share where k * came is below n times that.
+    """
+    number, end, step = 0, 0, 0
+    for i in range(len(stands_for)):
+        end += stands_for[i] * len(chosen)
+        if step < end:
+            chosen[number] = i
+            number += 1
+            while step < end:
+                step += came
+    return number
 
 
 @njit(

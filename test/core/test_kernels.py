@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from emoflow_ros.core import kernels, normal_equations
+from emoflow_ros.core import derivatives, kernels, normal_equations
 from emoflow_ros.core.contrast import gaussian, smooth
 from emoflow_ros.core.lattice import Lattice
 
@@ -130,9 +130,9 @@ def slow_pull(x, y, s, weights, ref, position, potentials, scale):
 def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
     gradient = np.zeros((*CELLS, 2, 8), np.float32)
     curvature = np.zeros((*CELLS, 8, 3, 8), np.float32)
-    kernels.pull(
-        *events, ref, position, potentials, scale, LATTICE.per_px, stride, gradient, curvature
-    )
+    drawn = (*events, ref, position, potentials, scale, LATTICE.per_px)
+    derivatives.pull(*drawn, gradient)
+    derivatives.stiffen(*drawn, stride, curvature)
     vector = np.zeros(LATTICE.unknowns)
     band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
     normal_equations.gather_cells(gradient, curvature, factor, 2 * factor, vector, band)
