@@ -66,6 +66,11 @@ class Belief:
         predicted: Array = INFORMATION_EXCESS * np.linalg.inv(self.covariance + np.diag(drift))
         return predicted
 
+    def facing(self, sign: float) -> "Belief":
+        """Return the same with v turned round where `sign` is -1."""
+        both = np.repeat([1.0, sign], 3)
+        return Belief(self.t, self.w, sign * self.v, self.covariance * np.outer(both, both))
+
     def across(self) -> Array:
         """Covariance (6, 6) in the order of ROS twists, (v, w), with v across its direction."""
         order = np.r_[3:6, 0:3]

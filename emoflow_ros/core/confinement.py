@@ -34,7 +34,7 @@ def is_confined(
         evidence: (nodes,) how much the events say about the flow at each node.
     """
     middle, covariance = spot(lattice, evidence)
-    if spread(lattice, covariance) >= _SMALL:
+    if not spread(lattice, covariance) < _SMALL:  # nor where it is not finite
         return False
     inverse = np.linalg.inv(covariance + _LEAST_SIGMA_PX**2 * np.eye(2))
     away = np.stack([events.x, events.y], axis=-1) - middle

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import Belief
+from emoflow_ros.core import earlier_scene, second_look
 from emoflow_ros.core.contrast import ContrastFactory, WindowEvents
 from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes, Recalled
 from emoflow_ros.core.egomotion import NodeEpipolar
@@ -15,7 +15,7 @@ from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.second_look import SCALES, SecondLook, distance, fresh_start
+from emoflow_ros.core.second_look import SecondLook, distance, fresh_start
 from emoflow_ros.core.uncertainty import Disagreement
 
 Array = NDArray[np.float64]
@@ -41,10 +41,11 @@ class CrossCheck:
         make_contrast: ContrastFactory,
         config: LatticeConfig,
     ) -> None:
-        contrasts = {scale: make_contrast(lattice, scale) for scale in SCALES}
+        scales = {*second_look.SCALES, *earlier_scene.SCALES}
+        contrasts = {scale: make_contrast(lattice, scale) for scale in sorted(scales)}
         self._second_look = SecondLook(lattice, contrasts, config)
         self._scenes = EarlierScenes(lattice, epipolar, contrasts, config)
-        self._coarse, self._lattice = contrasts[min(SCALES)], lattice
+        self._coarse, self._lattice = contrasts[min(scales)], lattice
         self._thread = ThreadPoolExecutor(1, "cross_check")
 
     def __getstate__(self) -> dict[str, Any]:
@@ -95,18 +96,12 @@ class CrossCheck:
             return Disagreement(look, moved)
         return Disagreement(look, moved, apart(recalled.flow), recalled.w * window.duration)
 
-    def keep(self, estimate: Estimate, belief: Belief, flow: F32) -> None:
+    def keep(self, estimate: Estimate, flow: F32) -> None:
         """Keep what a window has shown for later ones, where the second look bears it out.
 
         Args:
             estimate: of the window.
-            belief: its motion.
-            flow: (columns, rows, times, 2) px per window.
+            flow: (columns, rows, times, 2) px per window of the lattice.
         """
         if estimate.quality.second_look_px <= _CREDIBLE_PX:
-            self._scenes.keep(
-                EarlierScene(
-                    estimate.t_start, estimate.t_end, flow, belief.w, estimate.linear,
-                    belief.covariance, estimate.translation_observable,
-                )
-            )  # fmt: skip
+            self._scenes.keep(EarlierScene.shown(estimate, flow))

@@ -1,7 +1,8 @@
 """The contrast's gradient and curvature on the lattice, in numba; see `kernels`.
 
-What an event adds to its cell is written as loops over lanes with a coefficient for each: only
-those does the compiler turn into vector instructions. Loops over a cell's eight nodes it unrolls.
+What an event adds to its cell is written as loops over lanes, the entries of an array with a
+coefficient for each. The compiler makes vector instructions of such loops. A loop over a cell's
+eight nodes it would unroll instead.
 """
 
 import numba

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.contrast import ImageContrast, WindowEvents
 from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.core.known_scene import KnownScene, inverse_depths
+from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
@@ -23,12 +24,12 @@ from emoflow_ros.core.normal_equations import NormalEquations
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
-# A younger scene has events in common with the window, an older one has left the image.
+# Errors of a younger scene are those of the window; an older one has left the image.
 _YOUNGEST_NS, _OLDEST_NS = 100 * NS_PER_MS, 450 * NS_PER_MS
 _BEST_NS = 225 * NS_PER_MS
-_KEPT = 16
 # Scale of the image and steps: coarse first, for the motion has changed since.
 _STEPS = ((0.25, 1), (0.5, 3))
+SCALES = tuple(scale for scale, _ in _STEPS)
 _EVENTS = 8_000  # are enough for six numbers
 
 
@@ -65,6 +66,14 @@ class EarlierScene:
     covariance: Array
     travels: bool
 
+    @classmethod
+    def shown(cls, estimate: Estimate, flow: F32) -> "EarlierScene":
+        """Take it from an estimate and the flow (columns, rows, times, 2) of its lattice."""
+        return cls(
+            estimate.t_start, estimate.t_end, flow, estimate.angular, estimate.linear,
+            motion_covariance(estimate), estimate.translation_observable,
+        )  # fmt: skip
+
     @property
     def t(self) -> int:
         """The window's middle, ns."""
@@ -93,7 +102,7 @@ class EarlierScenes:
         self._contrasts = contrasts
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
         self._equations = NormalEquations(lattice, 0)
-        self._scenes: deque[EarlierScene] = deque(maxlen=_KEPT)
+        self._scenes: deque[EarlierScene] = deque()
 
     def forget(self) -> None:
         """Forget all scenes, for example after a jump in time."""
@@ -101,16 +110,20 @@ class EarlierScenes:
 
     def keep(self, scene: EarlierScene) -> None:
         """Keep a scene for later windows."""
+        while self._scenes and scene.t - self._scenes[0].t > _OLDEST_NS:
+            self._scenes.popleft()
         self._scenes.append(scene)
 
     def choose(self, window: Window) -> EarlierScene | None:
-        """Choose the scene nearest to 225 ms before a window; None without one of 100 to 450 ms."""
+        """Choose the scene nearest to 225 ms before a window that shares no events with it.
+
+        Returns:
+            None without one of 100 to 450 ms before.
+        """
         middle = (window.t_start + window.t_end) // 2
-        ages = [middle - scene.t for scene in self._scenes]
-        fit = [k for k, age in enumerate(ages) if _YOUNGEST_NS <= age <= _OLDEST_NS]
-        if not fit:
-            return None
-        return self._scenes[min(fit, key=lambda k: abs(ages[k] - _BEST_NS))]
+        apart = (s for s in self._scenes if s.t_end <= window.t_start)
+        old_enough = (s for s in apart if _YOUNGEST_NS <= middle - s.t <= _OLDEST_NS)
+        return min(old_enough, key=lambda s: abs(middle - s.t - _BEST_NS), default=None)
 
     def explain(self, scene: EarlierScene, window: Window, events: WindowEvents) -> Recalled | None:
         """Explain a window by an earlier scene and another motion of the camera.
@@ -121,7 +134,7 @@ class EarlierScenes:
             events: of the window.
 
         Returns:
-            None if no motion is the best one.
+            None if no motion is the best one, or the scene is not finite.
         """
         middle = (window.t_start + window.t_end) // 2
         known = self._carried(scene, middle)
@@ -138,7 +151,10 @@ class EarlierScenes:
                 )
         except np.linalg.LinAlgError:
             return None
-        return Recalled(known.field(self._lattice, window.duration, change), scene.w + change[:3])
+        w = scene.w + change[:3]
+        if not np.isfinite(w).all():
+            return None
+        return Recalled(known.field(self._lattice, window.duration, change), w)
 
     def _carried(self, scene: EarlierScene, t: int) -> KnownScene:
         """Move a scene along with its flow to time t."""
@@ -151,7 +167,9 @@ class EarlierScenes:
         rest = rate - _rigid(epipolar, scene, depth)
         now = (t - scene.t_start) / length
         source = lattice.advance(scene.flow, lattice.pixels, now, 0.5)
-        depth, *rest_xy = (lattice.interpolate(a, source) for a in (depth, *rest.T))
+        usable = epipolar.usable.astype(np.float64)  # else the lens has no inverse
+        near = np.maximum(lattice.interpolate(usable, source), 1e-3)
+        depth, *rest_xy = (lattice.interpolate(usable * a, source) / near for a in (depth, *rest.T))
         rest = np.stack(rest_xy, axis=-1)
         flow = _rigid(epipolar, scene, depth) + rest
         return KnownScene.at_depths(epipolar, flow, depth)

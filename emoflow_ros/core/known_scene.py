@@ -18,6 +18,7 @@ from scipy.linalg.blas import dsbmv
 from emoflow_ros.core.belief import INFORMATION_EXCESS
 from emoflow_ros.core.contrast import ImageContrast, WindowEvents
 from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
 
@@ -103,6 +104,20 @@ def inverse_depths(epipolar: NodeEpipolar, flow: Array, w: Array, v: Array) -> A
     line = epipolar.a @ v
     along = ((flow - epipolar.b @ w) * line).sum(axis=-1)
     return np.maximum(0.0, along / ((line**2).sum(axis=-1) + epipolar.soft**2))
+
+
+def motion_covariance(estimate: Estimate) -> Array:
+    """Return the covariance (6, 6) of (w, v) of an estimate, v in units of the speed.
+
+    Along v it is 1: nobody knows how the speed changes. Where v is not known, w stands alone.
+    """
+    order = np.r_[3:6, 0:3]
+    covariance: Array = estimate.covariance[np.ix_(order, order)].copy()
+    if estimate.translation_observable:
+        covariance[3:, 3:] += np.outer(estimate.linear, estimate.linear)
+    else:
+        covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
+    return covariance
 
 
 def _times_band(band: Array, columns: Array) -> Array:

@@ -134,6 +134,7 @@ class LatticeEstimator:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
+        self._check.keep(result, fit.flow)
         return result
 
     def _fit_cold(self, events: WindowEvents) -> str:
@@ -280,9 +281,7 @@ class LatticeEstimator:
         if window.gyro is not None:
             w, covariance = self._reader.rotation_of_events(self._free, model, apart)
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
-        estimate = self._reader.read(window, belief, self._selector, quality, self._gyro.status)
-        self._check.keep(estimate, belief, fit.flow)
-        return estimate
+        return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
 
     def _quality(self, used: int, stop: str, gain: float, **further: Any) -> Quality:
         runtime = time.perf_counter() - self._started

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import ImageContrast, WindowEvents
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
+from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler
 from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
@@ -48,7 +48,8 @@ class MotionWindows:
     quality) shortens the next one in the same way. The first part holds a quarter of its window's
     events, so that fast motion is not lost at once. Where it shows slow motion the same window is
     estimated anew as a longer part, and where it shows none as two thirds. Where a later part gives
-    no estimate the next windows are taken whole, every other one but a quarter or less of it.
+    no estimate the first, third and so on of the next windows are taken whole, and of the others a
+    quarter or 6 % of the events in turn.
 
     Args:
         estimator: of the parts.
@@ -77,19 +78,21 @@ class MotionWindows:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to the latest part of a window."""
-        if self._count is None:
+        if self._failures == 0 and self._count is None:
             estimate, part = self._estimate_first(window)
         else:
             count = self._count
-            if self._failures:
-                count = round(_RETRIES[(self._failures - 1) % len(_RETRIES)] * window.events.came)
+            if self._failures or count is None:
+                share = _RETRIES[(self._failures - 1) % len(_RETRIES)]
+                count = round(share * window.events.came)
             part = window.since(self._choose_start(window, count))
             estimate = self._estimator.estimate(part)
-        self._count = self._next_count(estimate, part)
-        self._failures += 1
-        if estimate.status is Status.OK:
-            self._failures = 0
-            self._start = part.t_start
+        if estimate.flow is None:
+            self._failures += 1
+            return estimate
+        self._failures = 0
+        self._start = part.t_start
+        self._count = self._next_count(estimate.flow, estimate.quality.change_px, part)
         return estimate
 
     def _estimate_first(self, window: Window) -> tuple[Estimate, Window]:
@@ -97,10 +100,9 @@ class MotionWindows:
         events = window.events.came
         part = window.since(self._choose_start(window, round(_FIRST * events)))
         estimate = self._estimator.estimate(part)
-        if estimate.status is Status.OK:
-            count = self._next_count(estimate, part)
-        else:
-            count = round(_SECOND * events)
+        count = round(_SECOND * events)
+        if estimate.flow is not None:
+            count = self._next_count(estimate.flow, estimate.quality.change_px, part)
         if min(count, events) <= _TOO_SHORT * part.events.came:
             return estimate, part
         self._estimator.reset()
@@ -116,15 +118,11 @@ class MotionWindows:
             start = max(start, self._start)
         return min(start, window.t_end - 1)
 
-    def _next_count(self, estimate: Estimate, part: Window) -> int:
-        if estimate.status is Status.OK and estimate.flow is not None:
-            moved = max(_STILL_PX, self._displacement(estimate.flow, part))
-            longer = self._longest_px / moved
-            change = estimate.quality.change_px
-            if change > 0:  # it grows with the square of the time
-                longer = min(longer, (_CHANGE_PX / change) ** 0.5)
-            return round(part.events.came * longer)
-        return part.events.came
+    def _next_count(self, flow: FlowSampler, change_px: float, part: Window) -> int:
+        longer = self._longest_px / max(_STILL_PX, self._displacement(flow, part))
+        if change_px > 0:  # it grows with the square of the time
+            longer = min(longer, (_CHANGE_PX / change_px) ** 0.5)
+        return round(part.events.came * longer)
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""

@@ -19,7 +19,7 @@ from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Statu
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
-from emoflow_ros.core.known_scene import KnownScene, inverse_depths
+from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
@@ -115,9 +115,9 @@ class PresentMotion:
             predicted[:3] = turned
             known[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
         free = 6 if scene.travels else 3
-        prior = predicted[:free], np.linalg.inv(known[:free, :free])
         change = np.zeros(6)
         try:
+            prior = predicted[:free], np.linalg.inv(known[:free, :free])
             change[:free], information = scene.known.fit(
                 self._contrast, self._equations, events, part.duration, prior, prior[0], _STEPS
             )
@@ -141,18 +141,12 @@ class PresentMotion:
         w, v = estimate.angular, estimate.linear
         known = KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
         travels = estimate.translation_observable
-        order = np.r_[3:6, 0:3]
-        covariance = estimate.covariance[np.ix_(order, order)].copy()
-        if travels:
-            covariance[3:, 3:] += np.outer(v, v)  # nobody knows how the speed changes
-        else:
-            covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
         turn = None
         if estimate.gyro.state is GyroState.USED:
             turn = _measured(gyro, estimate.t)
         length = estimate.t_end - estimate.t_start
         motion = np.concatenate([w, v])
-        return _Scene(estimate.t, length, motion, covariance, known, travels, turn)
+        return _Scene(estimate.t, length, motion, motion_covariance(estimate), known, travels, turn)
 
     def _turned(self, scene: _Scene, t: int, gyro: GyroReadings | None) -> Array | None:
         """Change of w (3,) since the scene was seen as the gyro tells it, bias and all."""

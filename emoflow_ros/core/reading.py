@@ -101,7 +101,7 @@ class EstimateReader:
         claimed = self._claims.claim(front * belief.v, self.possible)
         if self._config.model == "auto" and not claimed:
             model, front = MotionModel.ROTATION, 0.0
-        covariance = belief.across()
+        covariance = belief.facing(front or 1.0).across()
         if model is MotionModel.ROTATION:
             covariance = without_travel(covariance)
         w, v = fit.motion.at(0.5)

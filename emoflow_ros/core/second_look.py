@@ -3,8 +3,9 @@
 A contrast has many local maxima, and a flow near a wrong one still has a high contrast. Only a
 comparison with the result of another start shows such an error. The lattice estimator compares at
 three places: it starts from the best of several flows, it drops a fit that a constant flow
-surpasses, and it measures the distance to a second fit that does not know the estimate. From this
-distance follows the probability that the estimate is wrong.
+surpasses, and it measures the distance to a second fit that does not know the estimate. This
+distance, that to the flow by an earlier scene (core.earlier_scene) and the length of the flow tell
+the probability that the estimate is wrong.
 """
 
 import math
@@ -39,7 +40,7 @@ _SHARE = 0.75  # of the events: a few at the edges of depth may lie far apart
 _BETTER = 1.05  # contrast of a constant flow over that of the fit from which the fit is lost
 
 # Logistic regression of "the end-point error exceeds half of the displacement, or w or v is off by
-# 3 of its standard deviations and 5 deg/s or 20 degrees" over 6000 windows of the random
+# 3 of its standard deviations and 5 deg/s or 20 degrees" over 5960 windows of the random
 # recordings with seeds 0 to 59 and those of the shared data (docs/method.md). Constant, then
 # factors of the natural logarithms of the distances plus 0.1 px.
 _ALONE = -2.03, 0.80
@@ -88,7 +89,7 @@ class SecondLook:
 
 
 def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> float:
-    """Return how far two flows lie apart at most at three quarters of the events, px per window.
+    """Return the distance that two flows keep to at three quarters of the events, px per window.
 
     Args:
         lattice: of the flows.

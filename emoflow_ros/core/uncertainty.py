@@ -5,8 +5,9 @@ travel. Each direction of travel, with the best rotation for it, and a camera th
 cost: the squared residuals of the flow, by its inverse covariance. exp(-cost / 2) is how likely
 such a motion is. The estimate is the mean over them, and their spread is a part of its covariance.
 
-The other part is the error of the flow that the residuals do not show. A second fit of the flow
-that does not know the first one (core.second_look) shows how large it is.
+The other part is the error of the flow that the residuals do not show. Two other explanations of
+the window show how large it is: a fresh fit of the flow (core.second_look) and the scene of an
+earlier window (core.earlier_scene).
 """
 
 from dataclasses import dataclass, field
@@ -36,7 +37,7 @@ class Disagreement:
 
     Attributes:
         second_look_px: distance to a fresh fit of the flow, px per window.
-        moved_px: the length of the flow at three quarters of the events at most, px per window.
+        moved_px: the length that the flow keeps to at three quarters of the events, px per window.
         earlier_px: distance to the flow by an earlier scene, px per window; NaN without one.
         w: (3,) angular velocity by that scene, rad per window; None without one.
     """

@@ -1,6 +1,7 @@
 """A known scene and other motions of the camera: points whose depth and motion are known."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.known_scene import KnownScene, inverse_depths
+from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.uncertainty import Disagreement
 
 CAMERA = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
 LATTICE = Lattice.with_spacing(240, 180, 26.0)
@@ -99,7 +101,7 @@ def test_events_tell_how_the_motion_has_changed(free):
     assert (np.linalg.eigvalsh(information) > 1e-3).all()
 
 
-def test_without_events_that_tell_anything_the_prior_decides():
+def test_a_prior_that_is_certain_decides():
     known = KnownScene.at_depths(EPIPOLAR, rigid(W, V), INVERSE_DEPTH)
     expected = np.array([0.02, 0.0, -0.01, 0.1, 0.0, 0.0])
     change, _ = known.fit(
@@ -141,6 +143,10 @@ def test_where_no_travel_was_known_only_the_rotation_changes():
     recalled = scenes().explain(scene(800, travels=False), window(1000), moving(rigid(W_LATER, V)))
     assert recalled is not None
     np.testing.assert_allclose(recalled.w, W_LATER, atol=0.08)
+    inner = np.s_[2:-2, 2:-2, 0]
+    rest = (recalled.flow - field(EPIPOLAR.b @ recalled.w))[inner]
+    before = (field(rigid(W, V)) - field(EPIPOLAR.b @ W))[inner]
+    assert np.median(np.linalg.norm(rest - before, axis=-1)) < 0.5  # but for its way since
 
 
 def test_a_wrong_scene_explains_nothing():
@@ -156,37 +162,100 @@ def test_a_wrong_scene_explains_nothing():
     assert errors[0] > 3 * errors[1]
 
 
-def estimate(middle_ms: int, second_look_px: float) -> Estimate:
+def test_scenes_that_share_events_with_the_window_do_not_count():
+    """Windows of 100 ms: one whose middle is 120 ms before, but which ends 1 ms after it begins."""
+    kept, at = scenes(), window(1000)
+    seen = scene(880)
+    kept.keep(replace(seen, t_start=seen.t_start - 21 * NS_PER_MS, t_end=at.t_start + NS_PER_MS))
+    assert kept.choose(at) is None
+    kept.keep(replace(seen, t_end=at.t_start))
+    assert kept.choose(at) is not None
+
+
+def test_scenes_are_kept_by_age_however_often_windows_come():
+    kept = scenes()
+    for middle in range(100, 1000, 2):
+        kept.keep(scene(middle))
+    chosen = kept.choose(window(1000))
+    assert chosen is not None and abs(chosen.t - 775 * NS_PER_MS) <= NS_PER_MS
+
+
+def test_a_scene_that_is_not_finite_explains_nothing():
+    broken = scene(800, w=np.array([np.nan, 0.0, 0.0]))
+    assert scenes().explain(broken, window(1000), moving(rigid(W_LATER, V))) is None
+
+
+def test_nodes_where_the_lens_has_no_inverse_spoil_no_others():
+    camera = Camera(240, 180, 200.0, 200.0, 120.0, 90.0, "plumb_bob", (-0.9, 0.0, 0.0, 0.0))
+    epipolar = NodeEpipolar(camera, LATTICE, 0.7)
+    assert 10 < (~epipolar.usable).sum() < 50  # of 80
+    flow = epipolar.b @ W + INVERSE_DEPTH[:, None] * (epipolar.a @ V)
+    kept = EarlierScenes(LATTICE, epipolar, SCALES, LatticeConfig())
+    at = window(800)
+    seen = EarlierScene(at.t_start, at.t_end, field(flow), W, V, 1e-3 * np.eye(6), True)
+    later = epipolar.b @ W_LATER + INVERSE_DEPTH[:, None] * (epipolar.a @ V_LATER)
+    recalled = kept.explain(seen, window(1000), moving(later * epipolar.usable[:, None]))
+    assert recalled is not None
+    error = np.linalg.norm(recalled.flow - field(later), axis=-1)[..., 0].ravel()
+    assert np.quantile(error[epipolar.usable], 0.9) < 2.0
+
+
+def estimate(middle_ms: int, second_look_px: float, front: float = 1.0) -> Estimate:
     at = window(middle_ms)
     quality = Quality(8000, second_look_px=second_look_px)
+    belief = Belief.of(at.t_end, W, front * V, np.diag([1e-3] * 3 + [1e-2] * 3)).facing(front)
     return Estimate(
-        at.t_start, at.t_end, middle_ms * NS_PER_MS, Status.OK, quality, MotionModel.FULL, V, W
-    )
+        at.t_start, at.t_end, middle_ms * NS_PER_MS, Status.OK, quality, MotionModel.FULL,
+        belief.v, W, belief.across(),
+    )  # fmt: skip
 
 
-def checked(second_look_px: float, copy=lambda check: check):
-    """Disagreement of a window with the true flow, after one that the second look judged so."""
+def disagreement(check: CrossCheck, middle_ms: int = 1000) -> Disagreement:
+    at, events = window(middle_ms), moving(rigid(W_LATER, V_LATER))
+    check.begin(at, events)
+    return check.disagreement(at, events, field(rigid(W_LATER, V_LATER)))
+
+
+def checked(second_look_px: float) -> CrossCheck:
+    """After one window, which the second look judged so."""
     check = CrossCheck(LATTICE, EPIPOLAR, Contrast, LatticeConfig())
-    belief = Belief.of(800 * NS_PER_MS, W, V, np.diag([1e-3] * 3 + [1e-2] * 3))
-    check.keep(estimate(800, second_look_px), belief, field(rigid(W, V)))
-    check = copy(check)
-    events = moving(rigid(W_LATER, V_LATER))
-    check.begin(window(1000), events)
-    return check.disagreement(window(1000), events, field(rigid(W_LATER, V_LATER)))
+    check.keep(estimate(800, second_look_px), field(rigid(W, V)))
+    return check
 
 
 def test_a_right_flow_agrees_with_a_fresh_fit_and_with_an_earlier_scene():
-    apart = checked(0.5)
+    apart = disagreement(checked(0.5))
     assert apart.second_look_px < 1.5 and apart.earlier_px < 1.5
     assert apart.w is not None
     np.testing.assert_allclose(apart.w, SECONDS * W_LATER, atol=0.006)
 
 
 def test_a_scene_that_the_second_look_did_not_bear_out_is_not_kept():
-    apart = checked(3.1)
+    apart = disagreement(checked(3.1))
     assert np.isnan(apart.earlier_px) and apart.w is None
 
 
 def test_a_copy_from_a_checkpoint_keeps_the_scenes():
-    apart, again = checked(0.5), checked(0.5, lambda check: pickle.loads(pickle.dumps(check)))
-    assert again.earlier_px == apart.earlier_px and again.second_look_px == apart.second_look_px
+    check = checked(0.5)
+    disagreement(check)
+    copy = pickle.loads(pickle.dumps(check))
+    again, expected = disagreement(copy, 1030), disagreement(check, 1030)
+    assert again.earlier_px == expected.earlier_px > 0
+    assert again.second_look_px == expected.second_look_px
+
+
+def test_the_covariance_of_a_motion_turns_round_with_its_direction():
+    """What a camera would turn more it would travel less: with -v it is more."""
+    covariance = np.diag([1e-3] * 3 + [1e-2] * 3)
+    covariance[1, 3] = covariance[3, 1] = 2e-3
+    belief = Belief.of(0, W, np.array([0.0, 0.0, 1.0]), covariance)
+    found = belief.facing(-1.0)
+    np.testing.assert_allclose(found.v, [0.0, 0.0, -1.0])
+    assert found.covariance[1, 3] == -2e-3 and found.across()[0, 4] == -2e-3
+    np.testing.assert_allclose(found.covariance[:3, :3], belief.covariance[:3, :3])
+    np.testing.assert_allclose(found.covariance[3:, 3:], belief.covariance[3:, 3:])
+    np.testing.assert_allclose(motion_covariance(estimate(800, 0.5)), covariance_of_estimate())
+
+
+def covariance_of_estimate() -> np.ndarray:
+    return Belief.of(0, W, V, np.diag([1e-3] * 3 + [1e-2] * 3)).covariance
