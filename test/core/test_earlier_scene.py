@@ -190,6 +190,7 @@ def test_nodes_where_the_lens_has_no_inverse_spoil_no_others():
     epipolar = NodeEpipolar(camera, LATTICE, 0.7)
     assert 10 < (~epipolar.usable).sum() < 50  # of 80
     flow = epipolar.b @ W + INVERSE_DEPTH[:, None] * (epipolar.a @ V)
+    flow = np.where(epipolar.usable[:, None], flow, rigid(W, V))  # the flow goes on there
     kept = EarlierScenes(LATTICE, epipolar, SCALES, LatticeConfig())
     at = window(800)
     seen = EarlierScene(at.t_start, at.t_end, field(flow), W, V, 1e-3 * np.eye(6), True)
@@ -197,7 +198,7 @@ def test_nodes_where_the_lens_has_no_inverse_spoil_no_others():
     recalled = kept.explain(seen, window(1000), moving(later * epipolar.usable[:, None]))
     assert recalled is not None
     error = np.linalg.norm(recalled.flow - field(later), axis=-1)[..., 0].ravel()
-    assert np.quantile(error[epipolar.usable], 0.9) < 2.0
+    assert error[epipolar.usable].max() < 1.0
 
 
 def estimate(middle_ms: int, second_look_px: float, front: float = 1.0) -> Estimate:
