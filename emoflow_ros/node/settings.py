@@ -16,7 +16,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.events import SLICE_EVENTS, SLICE_MS, WindowPolicy
+from emoflow_ros.core.events import NS_PER_S, SLICE_EVENTS, SLICE_MS, WindowPolicy
 from emoflow_ros.core.options import (
     OptionInfo,
     option,
@@ -231,10 +231,14 @@ class Settings:
         """Event time that messages may cover while they wait to be decoded, ns.
 
         It is that of a window, or of a slice if that is longer, and of the windows that may wait.
+        A window by count may cover any time: a second is taken for each.
         """
         window, slices = self.config.window, self.slices
+        waiting = self.node.input.queue_windows
+        if window.count:
+            return (1 + waiting) * NS_PER_S
         slice_ns = slices.policy.duration_ns if slices else 0
-        return max(window.duration_ns, slice_ns) + self.node.input.queue_windows * window.stride_ns
+        return max(window.duration_ns, slice_ns) + waiting * window.stride_ns
 
     def changed(self, values: Mapping[str, Any]) -> "Settings":
         """Return a copy with the parameters of these names changed.

@@ -179,3 +179,4 @@ def test_what_may_wait_is_a_window_and_the_strides_of_those_that_may_wait() -> N
     short = settings.changed({"window.duration_ms": 10.0})
     assert short.backlog_ns == 70 * MS  # a slice of 60 ms is longer
     assert short.changed({"output.twist_rate": 0.0}).backlog_ns == 20 * MS
+    assert short.changed({"window.count": 20_000}).backlog_ns == 2000 * MS  # one, and one waits
