@@ -65,7 +65,8 @@ def test_unsupported_is_one_line_before_any_work(monkeypatch, capsys, tmp_path, 
 def test_start_on_a_simulated_recording(monkeypatch, capsys, tmp_path, calm_bag):
     out = tmp_path / "out"
     truth = ("--gt", calm_bag.truth, calm_bag.flow)
-    assert call(monkeypatch, calm_bag.data, *truth, "--ablate", "start", "--out", out) == 0
+    whole_run = ("--set", "estimator.max_doubt=1", "--ablate", "start", "--out", out)
+    assert call(monkeypatch, calm_bag.data, *truth, *whole_run) == 0
     warm, cold = rows_of(out)
     assert warm["name"].startswith("warm")
     assert cold["name"].startswith("cold")

@@ -9,7 +9,6 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.core.options import replace_options
 from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Present, Result, Task
@@ -23,6 +22,7 @@ CONFIG = load_config(
         "window.max_displacement_px": 9.0,
         "window.min_count": 5000,
         "estimator.max_events": 5000,
+        "estimator.max_doubt": 1.0,  # withholds no window
     }
 )
 
@@ -68,8 +68,7 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
 
 def test_the_worker_estimates_the_motion_of_now_as_it_is_estimated_without_it() -> None:
     windows = WindowSlicer(CONFIG.window).push(moving_dots())
-    config = replace_options(CONFIG, {"estimator.max_doubt": 1.0})
-    estimator, present = make_estimator(CAMERA, config), PresentMotion(CAMERA, config.estimator)
+    estimator, present = make_estimator(CAMERA, CONFIG), PresentMotion(CAMERA, CONFIG.estimator)
     estimates = [estimator.estimate(window) for window in windows]
     present.know(estimates[-1])
     newest = windows[-1].since(windows[-1].t_end - 60 * NS_PER_MS)
@@ -81,7 +80,7 @@ def test_the_worker_estimates_the_motion_of_now_as_it_is_estimated_without_it() 
     )
     slices = Task(newest, 0, 0, "camera", 0.0, is_slice=True)
     for window in windows:
-        supervisor.queue.put([Job(Task(window, 0, 0, "camera", 0.0), CAMERA, config)])
+        supervisor.queue.put([Job(Task(window, 0, 0, "camera", 0.0), CAMERA, CONFIG)])
     supervisor.start()
     try:
         for _ in windows:

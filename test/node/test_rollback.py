@@ -32,11 +32,10 @@ def lost_motion(fit: LatticeFit) -> None:
     fit.motion.w[:] = np.nan
 
 
-def assert_same(estimate: Estimate, expected: Estimate) -> None:
+def assert_same_motion(estimate: Estimate, expected: Estimate) -> None:
     assert estimate.status is expected.status is Status.OK
     np.testing.assert_array_equal(estimate.angular, expected.angular)
     np.testing.assert_array_equal(estimate.linear, expected.linear)
-    np.testing.assert_array_equal(estimate.covariance, expected.covariance)
 
 
 @pytest.mark.parametrize("lose", [lost_flow, lost_motion])
@@ -58,5 +57,7 @@ def test_values_that_are_lost_cost_the_window_and_the_next_starts_cold(
 
     again, fresh = estimator.estimate(windows[3]), untouched.estimate(windows[3])
     assert not again.quality.warm
-    assert_same(again, fresh)
+    # The earlier scenes tell more about its error, but the estimate is that of a cold start.
+    assert np.isfinite(again.quality.earlier_px) and np.isnan(fresh.quality.earlier_px)
+    assert_same_motion(again, fresh)
     assert estimator.estimate(windows[4]).quality.warm
