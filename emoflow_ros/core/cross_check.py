@@ -18,7 +18,6 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.second_look import SecondLook, distance, fresh_start
 from emoflow_ros.core.uncertainty import Disagreement
 
-Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _CREDIBLE_PX = 3.0  # distance of the second look up to which a scene is kept

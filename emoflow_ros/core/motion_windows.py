@@ -78,16 +78,17 @@ class MotionWindows:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to the latest part of a window."""
-        if self._failures == 0 and self._count is None:
+        if self._count is None and not self._failures:
             estimate, part = self._estimate_first(window)
         else:
             count = self._count
-            if self._failures or count is None:
+            if count is None:
                 share = _RETRIES[(self._failures - 1) % len(_RETRIES)]
                 count = round(share * window.events.came)
             part = window.since(self._choose_start(window, count))
             estimate = self._estimator.estimate(part)
         if estimate.flow is None:
+            self._count = None
             self._failures += 1
             return estimate
         self._failures = 0

@@ -70,10 +70,12 @@ def test_flow_of_warm_windows_is_within_a_pixel(calm):
 
 
 def test_flow_is_a_motion_field(calm):
-    """At the nodes to a hundredth of a pixel, `realtime` to a few; in between both interpolate.
+    """At the nodes to a quarter of what `realtime` leaves; in between both interpolate.
 
     Across the lines of the reported motion, which is a mean over the possible ones, more is left.
     """
+    left = [[e.quality.residual_px for e in run] for run in (calm.rigid, calm.realtime)]
+    assert np.mean(left[0]) < 0.25 * np.mean(left[1])
     for rigid, realtime in zip(calm.rigid, calm.realtime, strict=True):
         assert 0 < rigid.quality.residual_px < 0.01 < 0.02 < realtime.quality.residual_px
         assert rms(across_epipolar_lines(calm.recording, rigid)) < 0.1

@@ -1,6 +1,7 @@
 """A supervisor in tests, with what came out of it."""
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -66,3 +67,16 @@ class Bench:
         outcome = self.outcomes.get(timeout=WAIT_S)
         assert isinstance(outcome, Notice), outcome
         return outcome
+
+
+class Clumsy:
+    """Fails a few times, as a full thread table or too little memory would let anything fail."""
+
+    def __init__(self, error: Exception, times: int) -> None:
+        self.error = error
+        self.left = times
+
+    def __call__(self, *args: Any) -> None:
+        self.left -= 1
+        if self.left >= 0:
+            raise self.error

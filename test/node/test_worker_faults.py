@@ -4,20 +4,18 @@ import multiprocessing
 import os
 import queue
 import signal
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
-import psutil
 import pytest
-from supervisor_bench import CAMERA, WAIT_S, Bench
+from supervisor_bench import CAMERA, WAIT_S, Bench, Clumsy
 
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import supervisor, worker_process
+from emoflow_ros.node import supervisor
 from emoflow_ros.node.channel import Channel
 
 ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
@@ -98,19 +96,6 @@ def test_message_that_is_not_finished_ends_the_wait() -> None:
         channel.receive(60.0)
     with pytest.raises(TimeoutError, match=r"no message in 0.1 s"):
         channel.receive(0.1)
-
-
-class Clumsy:
-    """Fails a few times, as a full thread table or too little memory would let anything fail."""
-
-    def __init__(self, error: Exception, times: int) -> None:
-        self.error = error
-        self.left = times
-
-    def __call__(self, *args: Any) -> None:
-        self.left -= 1
-        if self.left >= 0:
-            raise self.error
 
 
 @pytest.mark.parametrize("error", [MemoryError("no memory"), RuntimeError("no new thread")])
@@ -255,59 +240,3 @@ def test_every_profile_reaches_the_worker(bench: Callable[..., Bench], profile: 
     b.config = load_config(profile, {"window.duration_ms": 70.0})
     b.put()
     assert b.result().estimate.quality.stop_reason == f"{profile} 70.0"
-
-
-def test_slice_that_fails_costs_neither_a_window_nor_the_worker(
-    bench: Callable[..., Bench],
-) -> None:
-    b = bench("Trackless")
-    b.put(t=1000)
-    b.result()
-    first = b.supervisor.pid
-    b.put_slice(t_end=1100)
-    loss = b.loss()
-    assert loss.reason.startswith("a slice failed: ValueError: no tracks")
-    assert not loss.worker
-    b.put(t=2000)
-    assert b.result().estimate.angular[1] == 2  # the same estimator, still warm
-    assert b.supervisor.pid == first
-
-
-def wait_for_stop(pid: int) -> None:
-    """Wait until a signal has stopped all threads of a process."""
-    deadline = time.monotonic() + WAIT_S
-    while {psutil.Process(t.id).status() for t in psutil.Process(pid).threads()} != {"stopped"}:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def test_worker_that_does_not_answer_a_slice_is_replaced(bench: Callable[..., Bench]) -> None:
-    b = bench("Trackless", timeout_s=3.0)
-    b.put(t=1000)
-    b.result()
-    assert b.supervisor.pid is not None
-    os.kill(b.supervisor.pid, signal.SIGSTOP)
-    wait_for_stop(b.supervisor.pid)
-    b.put_slice(t_end=1100)
-    assert b.loss().reason == "the worker died (signal 9); it is started again"
-    b.put(t=2000)
-    assert b.result().estimate.angular[1] == 1
-
-
-def test_error_in_the_slices_thread_is_told_and_later_slices_are_answered(
-    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    b = bench("Recorder")
-    monkeypatch.setattr(worker_process, "unpack_present", Clumsy(MemoryError("no memory"), 1))
-    b.put(t=1000)
-    b.result()
-    b.put_slice(t_end=1100)
-    losses = {b.loss().reason, b.loss().reason}
-    died = "the worker died (signal 9); it is started again"
-    assert losses == {"an error in the node (MemoryError: no memory)", died}
-    asked = threading.Event()
-    monkeypatch.setattr(worker_process, "unpack_present", lambda *_: asked.set())
-    b.put(t=2000)
-    b.result()
-    b.put_slice(t_end=2100)
-    assert asked.wait(WAIT_S)
