@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
+_LEAST_FLOW_PX = 0.3  # flow per window of which nobody can tell whether it is zero
+
 _compiled = numba.njit(cache=True, nogil=True)
 
 
@@ -102,16 +104,24 @@ def _chain(
 
 @_compiled
 def best_rotations(
-    normal: F64, b: F64, flow: F64, evidence: F64, inlier: float, reweightings: int,
-    known: F64, information: F64, w: F64, cost: F64,
+    line: F64, soft: float, b: F64, flow: F64, evidence: F64, inlier: float, reweightings: int,
+    known: F64, information: F64, depths: float, turns: float, px_per_rad: float,
+    w: F64, residual: F64, size: F64,
 ) -> None:  # fmt: skip
-    """Fit a rotation to each field of normals: robust least squares in n . (u - b w).
+    """Fit a rotation to each field of epipolar lines: robust least squares in n . (u - b w).
 
-    What of the scene would lie behind the camera costs its whole u - b w, not the part across the
-    line alone: no depth explains it. v's sign is the one that makes this cheaper.
+    n is the unit normal to the line. What of the scene would lie behind the camera costs its whole
+    u - b w, not the part across the line alone: no depth explains it. v's sign is the one that
+    makes this cheaper. The size of both parts of the flow has a cost of its own (docs/method.md):
+
+        depths sum [ln(1 + s) + q^2 / (var (1 + s))] + turns ln(|w|^2 + least^2)
+
+    with q the translational flow along the lines, var its variance, and s var the variance that
+    depths of an unknown common scale give it.
 
     Args:
-        normal: (M, nodes, 2) unit normals of the epipolar lines of M directions of v.
+        line: (M, nodes, 2) epipolar lines a v of M directions of v.
+        soft: px per window, keeps the lines' norms from being zero.
         b: (nodes, 2, 3).
         flow: (nodes, 2) px per window.
         evidence: (nodes, 2, 2) inverse covariance of the flow; zero where it does not count.
@@ -119,53 +129,76 @@ def best_rotations(
         reweightings: least squares solutions.
         known: (3,) what w is expected to be.
         information: (3, 3) of that; zero where nothing is known.
+        depths: independent depths per node.
+        turns: half the power of |w| that a rotation's probability falls with.
+        px_per_rad: focal length.
         w: (M, 3), written.
-        cost: (M,), written.
+        residual, size: (M,) costs, written.
     """
     nodes = len(flow)
-    row, target, certain, weight = (
-        np.empty((nodes, 3)), np.empty(nodes), np.empty(nodes), np.empty(nodes),
-    )  # fmt: skip
-    for m in range(len(normal)):
+    across, along = np.empty((nodes, 3)), np.empty((nodes, 3))
+    side, length = np.empty(nodes), np.empty(nodes)  # the flow across and along the lines
+    of_side, of_length = np.empty(nodes), np.empty(nodes)  # the evidence on both
+    weight, squared = np.empty(nodes), np.empty(nodes)
+    for m in range(len(line)):
         for n in range(nodes):
-            x, y = normal[m, n, 0], normal[m, n, 1]
-            target[n] = x * flow[n, 0] + y * flow[n, 1]
-            certain[n] = (
-                x * x * evidence[n, 0, 0]
-                + 2 * x * y * evidence[n, 0, 1]
-                + y * y * evidence[n, 1, 1]
-            )
-            weight[n] = certain[n]
+            lx, ly = line[m, n, 0], line[m, n, 1]
+            squared[n] = lx * lx + ly * ly + soft * soft
+            x, y = lx / np.sqrt(squared[n]), ly / np.sqrt(squared[n])
+            side[n] = x * flow[n, 1] - y * flow[n, 0]
+            length[n] = x * flow[n, 0] + y * flow[n, 1]
+            of_side[n] = _square(-y, x, evidence[n])
+            of_length[n] = _square(x, y, evidence[n])
+            weight[n] = 1.0
             for j in range(3):
-                row[n, j] = x * b[n, 0, j] + y * b[n, 1, j]
+                across[n, j] = x * b[n, 1, j] - y * b[n, 0, j]
+                along[n, j] = x * b[n, 0, j] + y * b[n, 1, j]
+        share, scale, turning = 0.0, 1.0, 0.0  # the first solution does not know any size
         for _ in range(reweightings):
             matrix, vector = information.copy(), information @ known
             for n in range(nodes):
+                first = weight[n] * of_side[n]
+                second = share * weight[n] * of_length[n] / (1 + of_length[n] * scale * squared[n])
                 for i in range(3):
-                    weighted = weight[n] * row[n, i]
-                    vector[i] += weighted * target[n]
+                    vector[i] += first * across[n, i] * side[n] + second * along[n, i] * length[n]
                     for j in range(3):
-                        matrix[i, j] += weighted * row[n, j]
+                        matrix[i, j] += first * across[n, i] * across[n, j]
+                        matrix[i, j] += second * along[n, i] * along[n, j]
+            for i in range(3):
+                matrix[i, i] += turning
             w[m] = np.linalg.solve(_regular(matrix), vector)
+            moved, reach = 0.0, 1e-9
             for n in range(nodes):
-                r = target[n]
+                r, q = side[n], length[n]
                 for j in range(3):
-                    r -= row[n, j] * w[m, j]
-                weight[n] = certain[n] / (1 + (r / inlier) ** 2) ** 2
-        ahead, behind = 0.0, 0.0
+                    r -= across[n, j] * w[m, j]
+                    q -= along[n, j] * w[m, j]
+                weight[n] = 1 / (1 + (r / inlier) ** 2) ** 2
+                moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX**2)
+                reach += weight[n] * of_length[n] * squared[n]
+            share, scale = depths, moved / reach
+            turning = turns / (w[m] @ w[m] + (_LEAST_FLOW_PX / px_per_rad) ** 2)
+        ahead, behind, sizes = 0.0, 0.0, 0.0
         for n in range(nodes):
-            x, y = flow[n, 0], flow[n, 1]
+            r, q = side[n], length[n]
             for j in range(3):
-                x -= b[n, 0, j] * w[m, j]
-                y -= b[n, 1, j] * w[m, j]
-            nx, ny = normal[m, n, 0], normal[m, n, 1]
-            r = nx * x + ny * y
-            across = _robust(nx * r, ny * r, evidence[n], inlier)
-            whole = _robust(x, y, evidence[n], inlier)
-            in_front = ny * x - nx * y > 0
-            ahead += across if in_front else whole
-            behind += whole if in_front else across
-        cost[m] = min(ahead, behind) + _surprise(w[m] - known, information)
+                r -= across[n, j] * w[m, j]
+                q -= along[n, j] * w[m, j]
+            beside = of_side[n] * r * r / (1 + (r / inlier) ** 2)
+            lx, ly = line[m, n, 0] / np.sqrt(squared[n]), line[m, n, 1] / np.sqrt(squared[n])
+            whole = _robust(lx * q - ly * r, ly * q + lx * r, evidence[n], inlier)
+            ahead += beside if q > 0 else whole
+            behind += whole if q > 0 else beside
+            excess = of_length[n] * scale * squared[n]
+            sizes += weight[n] * (np.log(1 + excess) + of_length[n] * q * q / (1 + excess))
+        residual[m] = min(ahead, behind) + _surprise(w[m] - known, information)
+        size[m] = depths * sizes + turns * size_of_turn(w[m], px_per_rad)
+
+
+@_compiled
+def size_of_turn(w: F64, px_per_rad: float) -> float:
+    """Logarithm of the square of the flow, px, that a rotation w (3,) makes."""
+    return float(np.log((w @ w) * px_per_rad**2 + _LEAST_FLOW_PX**2))
 
 
 @_compiled

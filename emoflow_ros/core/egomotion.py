@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core import constraints
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis, motion_matrices
+from emoflow_ros.core.explanations import Explanations
 from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
@@ -21,9 +22,9 @@ Array = NDArray[np.float64]
 _DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
 _REWEIGHTINGS = 4
 
-# Variance of a node's flow that more events do not lessen, px^2 per window^2 (docs/method.md): of
-# depth edges and of the lattice between its nodes.
-_LASTING_PX2 = 0.6
+# How much likelier a motion of less flow is (docs/method.md): independent depths per node, and half
+# the power of |w| that the probability of a rotation falls with.
+_DEPTHS, _TURNS = 0.02, 1.0
 
 # (3,) rad per window and its information (3, 3)
 type Rotation = tuple[Array, Array]
@@ -33,20 +34,6 @@ MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
 
 # Derivatives by a constant (w, v) from those by all control points, (24, 6).
 _CONSTANT = np.kron(np.eye(2), np.tile(np.eye(3), (CONTROL_POINTS, 1)))
-
-
-def trusted(information: Array) -> Array:
-    """Inverse covariance of a measured flow from the contrast's curvature.
-
-    Args:
-        information: (nodes, 2, 2) curvature, px^-2. It grows with the number of events without a
-            bound; the flow's error does not shrink like that.
-
-    Returns:
-        (nodes, 2, 2).
-    """
-    result: Array = np.linalg.solve(np.eye(2) + _LASTING_PX2 * information, information)
-    return result
 
 
 @dataclass(frozen=True)
@@ -136,7 +123,7 @@ class NodeEpipolar:
         self.px_per_rad = float(np.sqrt(camera.fx * camera.fy))
         self.soft = 1e-3 * self.px_per_rad
         self._directions = _hemisphere(_DIRECTIONS)
-        self._normals = self._normal_fields(self._directions)
+        self._lines = self._line_fields(self._directions)
 
     def robust_weight(self, r: Array) -> Array:
         """Geman-McClure weights of residuals in px per window."""
@@ -179,48 +166,34 @@ class NodeEpipolar:
         jacobian = np.einsum("tk,nij->ntikj", self._basis, self.b)
         return jacobian.reshape(*jacobian.shape[:3], -1)
 
-    def search(
-        self, flow: Array, information: Array, known: Rotation = _UNKNOWN
-    ) -> tuple[Array, Array, Array]:
-        """Score constant motions against a flow, over all directions of v.
+    def search(self, flow: Array, information: Array, known: Rotation = _UNKNOWN) -> Explanations:
+        """Explain a flow by constant motions, one for each direction of a hemisphere.
 
-        For a given v the residual is linear in w: robust least squares for each of the
-        directions of a hemisphere (the DEC does not know the sign). The cost is of the residual
-        and, where the scene would lie behind the camera, of all the translational flow.
+        For a given v the residual is linear in w: robust least squares (the DEC does not know v's
+        sign). The residual is that across the lines and, where the scene would lie behind the
+        camera, all the translational flow.
 
         Args:
             flow: (nodes, 2) px per window.
             information: (nodes, 2, 2), inverse covariance of the flow.
             known: what else is known of w, in the same units.
-
-        Returns:
-            v (M, 3) unit, w (M, 3) rad per window and the robust costs (M,).
         """
-        w, cost = self._best_rotations(self._normals, flow, information, known)
-        return self._directions, w, cost
+        return self._explain(self._directions, self._lines, flow, information, known)
 
     def score(
         self, v: Array, flow: Array, information: Array, known: Rotation = _UNKNOWN
-    ) -> tuple[Array, float]:
-        """Return the best w (3,) for one direction v (3,), and the robust cost, as `search`."""
-        w, cost = self._best_rotations(self._normal_fields(v[None]), flow, information, known)
-        return w[0], float(cost[0])
+    ) -> Explanations:
+        """Explain a flow by the best motion along one direction v (3,), as `search`."""
+        return self._explain(v[None], self._line_fields(v[None]), flow, information, known)
 
-    def rotation(
-        self, flow: Array, information: Array, known: Rotation = _UNKNOWN
-    ) -> tuple[Array, float]:
-        """Fit the pure rotation that explains a flow best.
-
-        Args:
-            flow, information, known: as in `search`.
-
-        Returns:
-            w (3,) rad per window, and the robust cost, comparable to those of `search`.
-        """
-        return constraints.best_rotation(
+    def rotation(self, flow: Array, information: Array, known: Rotation = _UNKNOWN) -> Explanations:
+        """Explain a flow by the pure rotation that leaves least of it, as `search`."""
+        w, residual = constraints.best_rotation(
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
             2 * _REWEIGHTINGS, *known,
         )  # fmt: skip
+        size = _TURNS * constraints.size_of_turn(w, self.px_per_rad)
+        return Explanations(np.zeros((1, 3)), w[None], np.array([residual]), np.array([size]))
 
     def _counted(self, information: Array) -> Array:
         return self.usable[:, None, None] * information
@@ -266,22 +239,21 @@ class NodeEpipolar:
         of_w = matrix[:3, :3] - matrix[:3, 3:] @ np.linalg.solve(matrix[3:, 3:], matrix[3:, :3])
         return float(w @ of_w @ w) / 3
 
-    def _normal_fields(self, v: Array) -> Array:
-        """Unit normals of the epipolar lines for directions v (M, 3), (M, nodes, 2)."""
-        line = np.tensordot(v, self.a, axes=(1, 2))
-        norm = np.sqrt((line**2).sum(-1, keepdims=True) + self.soft**2)
-        return np.stack([-line[..., 1], line[..., 0]], -1) / norm
+    def _line_fields(self, v: Array) -> Array:
+        """Epipolar lines for directions v (M, 3), (M, nodes, 2)."""
+        return np.tensordot(v, self.a, axes=(1, 2))
 
-    def _best_rotations(
-        self, normal: Array, flow: Array, information: Array, known: Rotation
-    ) -> tuple[Array, Array]:
-        """Fit w (M, 3) for each field of normals (M, nodes, 2); costs (M,)."""
-        w, cost = np.empty((len(normal), 3)), np.empty(len(normal))
+    def _explain(
+        self, v: Array, lines: Array, flow: Array, information: Array, known: Rotation
+    ) -> Explanations:
+        """Fit w for each v (M, 3) and its field of lines (M, nodes, 2)."""
+        found = Explanations(v, np.empty((len(v), 3)), np.empty(len(v)), np.empty(len(v)))
         constraints.best_rotations(
-            normal, self.b, flow, self._counted(information), self.inlier_px, _REWEIGHTINGS,
-            *known, w, cost,
+            lines, self.soft, self.b, flow, self._counted(information), self.inlier_px,
+            _REWEIGHTINGS, *known, _DEPTHS, _TURNS, self.px_per_rad,
+            found.w, found.residual, found.size,
         )  # fmt: skip
-        return w, cost
+        return found
 
 
 def _hemisphere(count: int) -> Array:

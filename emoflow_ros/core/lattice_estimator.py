@@ -1,6 +1,7 @@
 """The real-time estimator: a warm-started lattice fit per window."""
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
 _ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
-_SWITCH = 0.8  # another direction of v must explain the flow this much better
+_SWITCH = 0.2  # share of what is left of the flow that another direction of v must explain
 
 
 class LatticeEstimator:
@@ -159,10 +160,10 @@ class LatticeEstimator:
         if self._is_confined(events):  # refused below: what costs most is spared
             return "confined"
         free = fit.free_flow()
-        v, w, cost = self._epipolar.search(*free.evidence)
-        best = int(cost.argmin())
-        fit.motion = Motion.constant(w[best], v[best])
-        self._select(free, v[best], w[best])
+        found = self._epipolar.search(*free.evidence)
+        best = int(found.cost.argmin())
+        fit.motion = Motion.constant(found.w[best], found.v[best])
+        self._select(free, found.v[best], found.w[best])
         return self._refine(events, self.config.cold_iterations, None, hurry=False)
 
     def _fit_warm(self, events: WindowEvents, prior: MotionPrior | None) -> str:
@@ -222,26 +223,26 @@ class LatticeEstimator:
         fit = self._fit
         assert fit.motion is not None
         self._free = free
-        present = fit.motion.at(0.5)[1]
-        w, cost = self._epipolar.score(present, *free.evidence)
-        directions, rotations, costs = self._epipolar.search(*free.evidence)
+        epipolar = self._epipolar
+        middle, present = fit.motion.at(0.5)
+        here = epipolar.score(present, *free.evidence)
+        others = epipolar.search(*free.evidence)
         if prior is not None:
             # A motion that puts part of the scene behind the camera has not proved itself.
             doubt = (1 - abs(self._selector.agreement)) / _DOUBT
-            costs = costs + max(0.0, 1 - doubt) * prior.surprise(directions)
-        best = int(costs.argmin())
-        before = self._selector.model
-        rotates = before is MotionModel.ROTATION  # whose v is but a guess, held ready
-        switch = costs[best] < (1.0 if rotates else _SWITCH) * cost
-        middle = fit.motion.at(0.5)[0]
+            surprise = max(0.0, 1 - doubt) * prior.surprise(others.v)
+            others = replace(others, size=others.size + surprise)
+        best = int(others.cost.argmin())
+        rotates = self._selector.model is MotionModel.ROTATION  # v is but a guess, held ready
+        margin = 0.0 if rotates else _SWITCH * here.residual[0]
+        switch = bool(others.cost[best] < here.cost[0] - margin)
+        w = here.w[0]
         if switch:
-            v = directions[best]
-            present = v if v @ present >= 0 else -v
-            w, cost = rotations[best], costs[best]
-            middle = w
-        turn, turn_cost = self._epipolar.rotation(*free.evidence)
+            here = others.at(best)
+            present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
+            middle = w = here.w[0]
         self._reader.possible = PossibleMotions.weigh(
-            (middle, present), (directions, rotations, costs - cost), (turn, turn_cost - cost)
+            (middle, present), here, others, epipolar.rotation(*free.evidence), free.seen[1]
         )
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
@@ -260,7 +261,7 @@ class LatticeEstimator:
         self._fit.front = float(np.sign(agreement)) if abs(agreement) > _ON_ONE_SIDE else 0.0
         self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
-            self._fit.start_rotation(self._epipolar.rotation(*free.evidence)[0])
+            self._fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
         return after
 
     def _is_confined(self, events: WindowEvents) -> bool:

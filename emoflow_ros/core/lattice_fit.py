@@ -15,9 +15,9 @@ from emoflow_ros.core.egomotion import (
     NodeEpipolar,
     Residuals,
     Rotation,
-    trusted,
 )
 from emoflow_ros.core.events import Window
+from emoflow_ros.core.explanations import trusted
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations

@@ -144,14 +144,14 @@ class EstimateReader:
         fit, epipolar = self._fit, self._epipolar
         assert fit.motion is not None
         possible = PossibleMotions()
-        turn, turn_cost = epipolar.rotation(*free.seen)
-        w = turn
+        turn = epipolar.rotation(*free.seen)
+        w = turn.w[0]
         if model is not MotionModel.ROTATION:
             v = fit.motion.at(0.5)[1]
-            w, cost = epipolar.score(v, *free.seen)
-            directions, rotations, costs = epipolar.search(*free.seen)
+            here = epipolar.score(v, *free.seen)
+            w = here.w[0]
             possible = PossibleMotions.weigh(
-                (w, v), (directions, rotations, costs - cost), (turn, turn_cost - cost)
+                (w, v), here, epipolar.search(*free.seen), turn, free.seen[1]
             )
         apart = replace(apart, w=None)  # that one may have come from the gyro
         covariance = possible.covariance(apart, w, 1.0, epipolar.px_per_rad)[:3, :3]

@@ -71,9 +71,10 @@ class ModelSelector:
         known = np.zeros(3), np.zeros((3, 3))
         if free.known is not None:
             known = free.known[0], INFORMATION_EXCESS * free.known[1]
-        rotation, rotation_cost = epipolar.rotation(free.flow, free.information, known)
-        _, full_cost = epipolar.score(v, free.flow, free.information, known)
-        left = _evident_norm(free.flow - epipolar.b @ rotation, free.information)
+        rotation = epipolar.rotation(free.flow, free.information, known)
+        full = epipolar.score(v, free.flow, free.information, known)
+        more = rotation.residual[0] / (_FREEDOM * full.residual[0] + 1e-12)
+        left = _evident_norm(free.flow - epipolar.b @ rotation.w[0], free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
         turning = epipolar.turning(free.flow, free.information / INFORMATION_EXCESS, v)
@@ -82,7 +83,7 @@ class ModelSelector:
             ("agreement", agreement),
             ("residual_px", median),
             ("residual_share", median / max(speed, 1e-6)),
-            ("advantage", float(np.log(rotation_cost / (_FREEDOM * full_cost + 1e-12) + 1e-12))),
+            ("advantage", float(np.log(more + 1e-12))),
             ("turning", turning),
         ):
             setattr(self, name, past * getattr(self, name) + (1 - past) * value)

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.explanations import Explanations, temperature
+
 Array = NDArray[np.float64]
 
 # Chosen on the random recordings with seeds 0 to 59 and those of another simulator
@@ -64,26 +66,30 @@ class PossibleMotions:
     def weigh(
         cls,
         present: tuple[Array, Array],
-        travels: tuple[Array, Array, Array],
-        rotation: tuple[Array, float],
+        here: Explanations,
+        travels: Explanations,
+        rotation: Explanations,
+        information: Array,
     ) -> "PossibleMotions":
-        """Weigh motions by exp(-cost / 2).
+        """Weigh motions by exp(-cost / 2), with the costs of a window divided by its temperature.
 
         Before the flow is seen a camera that only turns is as likely as all travels together.
 
         Args:
             present: w (3,) in rad per window and unit v (3,) of the present motion.
-            travels: v and w (M, 3) of others, and their costs (M,) less that of the present motion.
-            rotation: w (3,) of a camera that only turns, and its cost, less the same.
+            here: what it costs.
+            travels: other motions.
+            rotation: a camera that only turns.
+            information: (nodes, 2, 2), inverse covariance of the flow.
         """
-        v, w, excess = travels
-        signs = np.where(v @ present[1] < 0, -1.0, 1.0)[:, None]
-        turn = np.concatenate([rotation[0] - present[0], np.zeros(3)])
-        others = np.hstack([w - present[0], signs * v - present[1]])
+        signs = np.where(travels.v @ present[1] < 0, -1.0, 1.0)[:, None]
+        turn = np.concatenate([rotation.w[0] - present[0], np.zeros(3)])
+        others = np.hstack([travels.w - present[0], signs * travels.v - present[1]])
         apart = np.vstack([np.zeros(6), others, turn])
-        cost = np.concatenate([[0.0], excess, [rotation[1]]])
-        weight = np.exp(-0.5 * (cost - cost.min()))
-        weight[-1] *= len(v)
+        cost = np.concatenate([here.cost, travels.cost, rotation.cost])
+        least = min(float(here.residual[0]), float(travels.residual.min()))
+        weight = np.exp(-0.5 * (cost - cost.min()) / temperature(least, information))
+        weight[-1] *= len(travels.v)
         weight /= weight.sum()
         mean = weight @ apart
         return cls(mean, (weight[:, None] * apart).T @ apart - np.outer(mean, mean))

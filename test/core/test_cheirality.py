@@ -48,10 +48,10 @@ def agreement_with(epipolar: NodeEpipolar, flow: Array, v: Array, w: Array) -> f
 
 def signed_direction(epipolar: NodeEpipolar, flow: Array) -> tuple[Array, float]:
     """Best direction of the search, turned so that the scene lies in front; the agreement."""
-    directions, rotations, costs = epipolar.search(flow, CERTAIN)
-    best = int(costs.argmin())
-    agreement = agreement_with(epipolar, flow, directions[best], rotations[best])
-    return np.copysign(1.0, agreement) * directions[best], abs(agreement)
+    found = epipolar.search(flow, CERTAIN)
+    best = int(found.cost.argmin())
+    agreement = agreement_with(epipolar, flow, found.v[best], found.w[best])
+    return np.copysign(1.0, agreement) * found.v[best], abs(agreement)
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_agreement_is_low_where_nothing_tells_the_sign(epipolar):
     for _ in range(50):
         w = rng.normal(scale=0.02, size=3)
         turning = epipolar.b @ w + rng.normal(scale=0.2, size=(NODES, 2))
-        found, _ = epipolar.score(v, turning, CERTAIN)
-        of_rotations.append(abs(agreement_with(epipolar, turning, v, found)))
+        found = epipolar.score(v, turning, CERTAIN)
+        of_rotations.append(abs(agreement_with(epipolar, turning, v, found.w[0])))
         of_translations.append(signed_direction(epipolar, noisy_flow(epipolar, v, w, rng, 0.2))[1])
     assert np.median(of_rotations) < 0.4
     assert min(of_translations) > 0.9
@@ -112,7 +112,7 @@ def test_a_scene_behind_the_camera_costs_its_whole_flow(epipolar, sign):
     flow = noisy_flow(epipolar, v, np.zeros(3), np.random.default_rng(13), 0.0)
     turned = np.arange(NODES) % 10 == 0
     flow[turned] *= -1
-    found, cost = epipolar.score(sign * v, flow, CERTAIN)
-    np.testing.assert_allclose(found, 0, atol=1e-6)
+    found = epipolar.score(sign * v, flow, 1e4 * CERTAIN)
+    np.testing.assert_allclose(found.w[0], 0, atol=1e-6)
     squares = (flow[turned & epipolar.usable] ** 2).sum(-1)
-    assert cost == pytest.approx(np.sum(squares / (1 + squares / INLIER_PX**2)), rel=1e-3)
+    assert found.residual == pytest.approx(1e4 * np.sum(squares / (1 + squares / INLIER_PX**2)), rel=1e-3)

@@ -16,6 +16,7 @@ NODES = LATTICE.columns * LATTICE.rows
 INLIER_PX = 0.7
 MOTIONS = 100  # for each lens
 CERTAIN = np.tile(np.eye(2), (NODES, 1, 1))
+EXACT = 1e4 * CERTAIN  # so much that the size of the flow does not count beside it
 
 
 def camera_with(lens: str) -> Camera:
@@ -153,58 +154,81 @@ def test_search_finds_every_motion_within_its_grid(epipolar, outliers):
     for v, w, inverse_depth in random_motions(5):
         flow = motion_field(epipolar, v, w, inverse_depth)
         flow = with_outliers(flow, rng) if outliers else flow
-        directions, rotations, costs = epipolar.search(flow, CERTAIN)
-        best = costs.argmin()
-        angles.append(angle(directions[best], v))
+        found = epipolar.search(flow, CERTAIN)
+        best = found.cost.argmin()
+        angles.append(angle(found.v[best], v))
         # The rotation can only mistake what v's error leaves of the translational flow.
-        assert np.linalg.norm(rotations[best] - w) < np.sin(np.radians(20)) * inverse_depth.max()
+        assert np.linalg.norm(found.w[best] - w) < np.sin(np.radians(20)) * inverse_depth.max()
     assert max(angles) < 20
     assert np.median(angles) < 8
 
 
 def test_search_covers_all_directions(epipolar):
-    directions, _, costs = epipolar.search(np.zeros((NODES, 2)), CERTAIN)
-    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    found = epipolar.search(np.zeros((NODES, 2)), CERTAIN)
+    np.testing.assert_allclose(np.linalg.norm(found.v, axis=1), 1)
     random = np.random.default_rng(6).normal(size=(5000, 3))
     random /= np.linalg.norm(random, axis=1, keepdims=True)
-    nearest = np.degrees(np.arccos(np.clip(np.abs(random @ directions.T).max(1), 0, 1)))
+    nearest = np.degrees(np.arccos(np.clip(np.abs(random @ found.v.T).max(1), 0, 1)))
     assert nearest.max() < 16
-    np.testing.assert_allclose(costs, 0, atol=1e-20)
+    np.testing.assert_allclose(found.residual, 0, atol=1e-20)
 
 
 def test_score_knows_the_rotation_of_the_true_direction(epipolar):
     rng = np.random.default_rng(70)
     for v, w, inverse_depth in random_motions(7):
         flow = motion_field(epipolar, v, w, inverse_depth)
-        found, cost = epipolar.score(v, flow, CERTAIN)
-        np.testing.assert_allclose(found, w, atol=1e-6)
-        assert cost < 1e-6
-        opposite, same = epipolar.score(-v, flow, CERTAIN)
-        np.testing.assert_allclose(opposite, found, atol=1e-9)
-        assert same == pytest.approx(cost, abs=1e-9)
-        _, wrong = epipolar.score(np.cross(v, rng.normal(size=3)), flow, CERTAIN)
-        assert wrong > cost + 1e-3
+        found = epipolar.score(v, flow, EXACT)
+        np.testing.assert_allclose(found.w[0], w, atol=1e-6)
+        assert found.residual < 1e-4  # 1e-8 px^2
+        opposite = epipolar.score(-v, flow, EXACT)
+        np.testing.assert_allclose(opposite.w, found.w, atol=1e-9)
+        assert opposite.cost == pytest.approx(found.cost, abs=1e-9)
+        wrong = epipolar.score(np.cross(v, rng.normal(size=3)), flow, EXACT)
+        assert wrong.residual > found.residual + 1e-3
 
 
 def test_score_and_search_agree(epipolar):
     v, w, inverse_depth = next(random_motions(8))
     flow = with_outliers(motion_field(epipolar, v, w, inverse_depth), np.random.default_rng(8))
-    directions, rotations, costs = epipolar.search(flow, CERTAIN)
+    found = epipolar.search(flow, CERTAIN)
     for k in (0, 17, 63):
-        found, cost = epipolar.score(directions[k], flow, CERTAIN)
-        np.testing.assert_allclose(found, rotations[k], atol=1e-10)
-        assert cost == pytest.approx(costs[k])
+        one, same = epipolar.score(found.v[k], flow, CERTAIN), found.at(k)
+        for name in ("v", "w", "residual", "size"):
+            np.testing.assert_allclose(getattr(one, name), getattr(same, name), rtol=1e-9)
 
 
-def slow_best_rotation(rows, target, evidence, inlier):
-    """Least squares for r = target - rows . w, reweighted thrice after Geman and McClure."""
-    weight = evidence
+def slow_best_rotation(epipolar, v, flow, information):
+    """Least squares across and along the lines, reweighted thrice after Geman and McClure.
+
+    Along the lines a fiftieth of each node counts, with the variance that the flow there has had.
+
+    Returns:
+        w (3,), its cost of size, and the unit normals (nodes, 2).
+    """
+    line = epipolar.a @ v
+    squared = (line**2).sum(-1) + epipolar.soft**2
+    tangent = line / np.sqrt(squared)[:, None]
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+    frames = [(normal, np.einsum("ni,nij,nj->n", normal, information, normal)),
+              (tangent, np.einsum("ni,nij,nj->n", tangent, information, tangent))]  # fmt: skip
+    of_length = frames[1][1]
+    robust, along, prior = np.ones(NODES), np.zeros(NODES), 0.0
     for _ in range(4):
-        root = np.sqrt(weight)
-        w = np.linalg.lstsq(root[:, None] * rows, root * target, rcond=None)[0]
-        r2 = ((target - rows @ w) / inlier) ** 2
-        weight = evidence / (1 + r2) ** 2
-    return w
+        weights = np.concatenate([robust * frames[0][1], along])
+        rows = np.concatenate([np.einsum("ni,nij->nj", e, epipolar.b) for e, _ in frames])
+        target = np.concatenate([(e * flow).sum(-1) for e, _ in frames])
+        matrix = (weights[:, None] * rows).T @ rows + prior * np.eye(3)
+        w = np.linalg.solve(matrix, (weights * target) @ rows)
+        left = target - rows @ w
+        across, q = left[:NODES], left[NODES:]
+        robust = 1 / (1 + (across / INLIER_PX) ** 2) ** 2
+        counted = robust * of_length
+        excess = of_length * squared * (counted @ (q**2 + 0.09)) / (counted @ squared)
+        along = 0.02 * counted / (1 + excess)
+        prior = 1 / (w @ w + 0.09 / epipolar.px_per_rad**2)
+    size = 0.02 * robust @ (np.log(1 + excess) + of_length * q**2 / (1 + excess))
+    size += np.log(w @ w * epipolar.px_per_rad**2 + 0.09)
+    return w, size, normal
 
 
 def slow_cost(left, normal, information, inlier):
@@ -227,16 +251,27 @@ def test_score_and_search_are_reweighted_least_squares(epipolar):
     flow = flow + rng.normal(scale=0.3, size=flow.shape)
     edges = rng.normal(size=(NODES, 2, 2))
     information = edges @ np.swapaxes(edges, 1, 2)
-    line = epipolar.a @ v
-    normal = np.stack([-line[:, 1], line[:, 0]], -1)
-    normal /= np.sqrt((line**2).sum(-1) + epipolar.soft**2)[:, None]
-    rows = np.einsum("ni,nij->nj", normal, epipolar.b)
-    evidence = np.einsum("ni,nij,nj->n", normal, information, normal)
-    expected = slow_best_rotation(rows, (normal * flow).sum(-1), evidence, INLIER_PX)
-    found, cost = epipolar.score(v, flow, information)
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-8)
+    expected, size, normal = slow_best_rotation(epipolar, v, flow, information)
+    found = epipolar.score(v, flow, information)
+    np.testing.assert_allclose(found.w[0], expected, rtol=1e-5, atol=1e-8)
     left = flow - epipolar.b @ expected
-    assert cost == pytest.approx(slow_cost(left, normal, information, INLIER_PX), rel=1e-6)
+    residual = slow_cost(left, normal, information, INLIER_PX)
+    assert found.residual[0] == pytest.approx(residual, rel=1e-5)
+    assert found.size[0] == pytest.approx(size, rel=1e-6)
+    np.testing.assert_allclose(found.cost, found.residual + found.size)
+
+
+def test_of_two_motions_that_leave_the_same_that_of_less_flow_is_likelier(epipolar):
+    """A quarter of the depth makes four times the flow along the same lines."""
+    v, w, inverse_depth = next(random_motions(14))
+    far, near = (
+        epipolar.score(v, motion_field(epipolar, v, w, scale * inverse_depth), CERTAIN)
+        for scale in (0.25, 1.0)
+    )
+    assert far.size < near.size
+    slow, quick = (epipolar.rotation(epipolar.b @ (scale * w), CERTAIN) for scale in (0.25, 1.0))
+    # The probability falls with |w|, where the flow is much larger than what nobody sees.
+    assert quick.size[0] - slow.size[0] == pytest.approx(2 * np.log(4), abs=0.1)
 
 
 @pytest.mark.parametrize("outliers", [False, True])
@@ -245,19 +280,20 @@ def test_rotation(epipolar, outliers):
     for _, w, _ in random_motions(9):
         flow = epipolar.b @ w
         flow = with_outliers(flow, rng) if outliers else flow
-        found, cost = epipolar.rotation(flow, CERTAIN)
-        np.testing.assert_allclose(found, w, atol=2e-4 if outliers else 1e-9)
-        assert (cost < 1e-9) != outliers
+        found = epipolar.rotation(flow, CERTAIN)
+        np.testing.assert_allclose(found.w[0], w, atol=2e-4 if outliers else 1e-9)
+        assert (found.residual < 1e-9) != outliers
+        np.testing.assert_array_equal(found.v, 0)
 
 
 def test_nodes_without_evidence_do_not_count(epipolar):
     v, w, inverse_depth = next(random_motions(10))
     flow = motion_field(epipolar, v, w, inverse_depth)
-    information = CERTAIN.copy()
+    information = EXACT.copy()
     flow[: NODES // 2], information[: NODES // 2] = 100.0, 0.0
-    found, cost = epipolar.score(v, flow, information)
-    np.testing.assert_allclose(found, w, atol=1e-6)
-    assert cost < 1e-6
+    found = epipolar.score(v, flow, information)
+    np.testing.assert_allclose(found.w[0], w, atol=1e-6)
+    assert found.residual < 1e-6
 
 
 def test_robust_weights_fall_from_one_to_a_quarter_and_on(epipolar):
@@ -275,8 +311,8 @@ def test_nodes_beyond_the_lens_are_left_out():
     v, w = np.array([0.6, 0.0, 0.8]), np.array([0.01, -0.02, 0.03])
     flow = 0.05 * (epipolar.a @ v) + epipolar.b @ w
     flow[~epipolar.usable] = 1e3
-    found, _ = epipolar.score(v, flow, np.tile(np.eye(2), (81, 1, 1)))
-    np.testing.assert_allclose(found, w, atol=1e-6)
+    found = epipolar.score(v, flow, np.tile(1e4 * np.eye(2), (81, 1, 1)))
+    np.testing.assert_allclose(found.w[0], w, atol=1e-6)
     residuals = epipolar.residuals(np.repeat(flow[:, None], 2, 1), Motion.constant(w, v))
     assert np.isfinite(residuals.r).all() and np.isfinite(residuals.by_motion).all()
     weights = epipolar.robust_weight(residuals.r)
