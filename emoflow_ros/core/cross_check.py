@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core import earlier_scene, second_look
 from emoflow_ros.core.contrast import ContrastFactory, WindowEvents
+from emoflow_ros.core.doubt import Doubt
 from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes, Recalled
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
@@ -44,12 +45,13 @@ class CrossCheck:
         contrasts = {scale: make_contrast(lattice, scale) for scale in sorted(scales)}
         self._second_look = SecondLook(lattice, contrasts, config)
         self._scenes = EarlierScenes(lattice, epipolar, contrasts, config)
+        self._doubt = Doubt()
         self._coarse, self._lattice = contrasts[min(scales)], lattice
         self._thread = ThreadPoolExecutor(1, "cross_check")
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the thread and what it works at, which a checkpoint cannot hold."""
-        kept = ("_second_look", "_scenes", "_coarse", "_lattice")
+        kept = ("_second_look", "_scenes", "_doubt", "_coarse", "_lattice")
         return {name: value for name, value in vars(self).items() if name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -58,8 +60,9 @@ class CrossCheck:
         self._thread = ThreadPoolExecutor(1, "cross_check")
 
     def forget(self) -> None:
-        """Forget the scenes of earlier windows."""
+        """Forget earlier windows: their scenes, and how well they were confirmed."""
         self._scenes.forget()
+        self._doubt.forget()
 
     def begin(self, window: Window, events: WindowEvents) -> None:
         """Begin with a window; the fit goes on meanwhile, where a core is free."""
@@ -94,6 +97,10 @@ class CrossCheck:
         if recalled is None:
             return Disagreement(look, moved)
         return Disagreement(look, moved, apart(recalled.flow), recalled.w * window.duration)
+
+    def doubt(self, apart: Disagreement) -> float:
+        """Tell how likely the fit is wrong, from 0 to 1. Call it once per window."""
+        return self._doubt.weigh(apart)
 
     def keep(self, estimate: Estimate, flow: F32) -> None:
         """Keep what a window has shown for later ones, where the second look bears it out.

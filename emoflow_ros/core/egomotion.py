@@ -166,7 +166,14 @@ class NodeEpipolar:
         jacobian = np.einsum("tk,nij->ntikj", self._basis, self.b)
         return jacobian.reshape(*jacobian.shape[:3], -1)
 
-    def search(self, flow: Array, information: Array, known: Rotation = _UNKNOWN) -> Explanations:
+    def search(
+        self,
+        flow: Array,
+        information: Array,
+        known: Rotation = _UNKNOWN,
+        *,
+        sized: bool = True,
+    ) -> Explanations:
         """Explain a flow by constant motions, one for each direction of a hemisphere.
 
         For a given v the residual is linear in w: robust least squares (the DEC does not know v's
@@ -177,22 +184,32 @@ class NodeEpipolar:
             flow: (nodes, 2) px per window.
             information: (nodes, 2, 2), inverse covariance of the flow.
             known: what else is known of w, in the same units.
+            sized: whether motions of less flow are likelier. It draws w to zero, which a mean
+                over many windows must not be.
         """
-        return self._explain(self._directions, self._lines, flow, information, known)
+        return self._explain(self._directions, self._lines, (flow, information, known), sized)
 
     def score(
-        self, v: Array, flow: Array, information: Array, known: Rotation = _UNKNOWN
+        self,
+        v: Array,
+        flow: Array,
+        information: Array,
+        known: Rotation = _UNKNOWN,
+        *,
+        sized: bool = True,
     ) -> Explanations:
         """Explain a flow by the best motion along one direction v (3,), as `search`."""
-        return self._explain(v[None], self._line_fields(v[None]), flow, information, known)
+        return self._explain(v[None], self._line_fields(v[None]), (flow, information, known), sized)
 
-    def rotation(self, flow: Array, information: Array, known: Rotation = _UNKNOWN) -> Explanations:
+    def rotation(
+        self, flow: Array, information: Array, known: Rotation = _UNKNOWN, *, sized: bool = True
+    ) -> Explanations:
         """Explain a flow by the pure rotation that leaves least of it, as `search`."""
         w, residual = constraints.best_rotation(
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
             2 * _REWEIGHTINGS, *known,
         )  # fmt: skip
-        size = _TURNS * constraints.size_of_turn(w, self.px_per_rad)
+        size = _TURNS * constraints.size_of_turn(w, self.px_per_rad) if sized else 0.0
         return Explanations(np.zeros((1, 3)), w[None], np.array([residual]), np.array([size]))
 
     def _counted(self, information: Array) -> Array:
@@ -244,13 +261,15 @@ class NodeEpipolar:
         return np.tensordot(v, self.a, axes=(1, 2))
 
     def _explain(
-        self, v: Array, lines: Array, flow: Array, information: Array, known: Rotation
+        self, v: Array, lines: Array, evidence: tuple[Array, Array, Rotation], sized: bool
     ) -> Explanations:
         """Fit w for each v (M, 3) and its field of lines (M, nodes, 2)."""
+        flow, information, known = evidence
+        depths, turns = (_DEPTHS, _TURNS) if sized else (0.0, 0.0)
         found = Explanations(v, np.empty((len(v), 3)), np.empty(len(v)), np.empty(len(v)))
         constraints.best_rotations(
             lines, self.soft, self.b, flow, self._counted(information), self.inlier_px,
-            _REWEIGHTINGS, *known, _DEPTHS, _TURNS, self.px_per_rad,
+            _REWEIGHTINGS, *known, depths, turns, self.px_per_rad,
             found.w, found.residual, found.size,
         )  # fmt: skip
         return found

@@ -61,19 +61,21 @@ class Explanations:
         return Explanations(self.v[one], self.w[one], self.residual[one], self.size[one])
 
 
-def temperature(residual: float, information: Array) -> float:
-    """Tell by how much the residuals are larger or smaller than usual.
+def temperature(here: Explanations, others: Explanations, information: Array) -> float:
+    """Tell by how much the residuals of a window are larger or smaller than usual.
 
     The error that lasts is not the same in every scene. The least residual of a window tells it
     once more, so half of its logarithm counts.
 
     Args:
-        residual: least cost of what a motion leaves of the flow.
+        here: the motion that was fitted.
+        others: other motions.
         information: (nodes, 2, 2), inverse covariance of the flow, as `trusted` tells it.
 
     Returns:
         What all costs are to be divided by.
     """
+    least = min(float(here.residual[0]), float(others.residual.min()))
     seen = 0.5 * _LASTING_PX2 * float(np.trace(information, axis1=1, axis2=2).sum())
-    misfit = residual / max(seen, 1.0) / _USUAL_MISFIT
+    misfit = least / max(seen, 1.0) / _USUAL_MISFIT
     return float(np.sqrt(np.clip(misfit, _LEAST_MISFIT, _MOST_MISFIT)))

@@ -31,8 +31,8 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
 
         estimator = MotionWindows(estimator, camera, config.window)
     if isinstance(config.estimator, LatticeConfig):
+        from emoflow_ros.core.doubt import ReliableOnly
         from emoflow_ros.core.preparation import CleanWindows
-        from emoflow_ros.core.second_look import ReliableOnly
 
         estimator = CleanWindows(estimator, camera)
         if config.estimator.max_doubt < 1:

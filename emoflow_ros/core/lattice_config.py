@@ -96,7 +96,7 @@ class LatticeConfig:
         maximum=10.0,
     )
     max_doubt: float = option(
-        0.09,
+        0.07,
         "probability of failure above which a window gives no estimate but the status uncertain; "
         "1 withholds none",
         minimum=0.0,

@@ -22,6 +22,7 @@ from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
+from emoflow_ros.core.explanations import temperature
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -30,7 +31,7 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader
-from emoflow_ros.core.second_look import best_start, is_lost, probability_of_failure
+from emoflow_ros.core.second_look import best_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions
 
@@ -128,7 +129,7 @@ class LatticeEstimator:
                 len(events), stop, gain, warm=warm,
                 change_px=self._change.measure(events, fit.flow),
                 second_look_px=apart.second_look_px, earlier_px=apart.earlier_px,
-                doubt=probability_of_failure(apart),
+                doubt=self._check.doubt(apart),
             )  # fmt: skip
             result = self._result(window, quality, apart)
         except np.linalg.LinAlgError:
@@ -160,7 +161,7 @@ class LatticeEstimator:
         if self._is_confined(events):  # refused below: what costs most is spared
             return "confined"
         free = fit.free_flow()
-        found = self._epipolar.search(*free.evidence)
+        found = self._epipolar.search(*free.evidence, sized=free.known is None)
         best = int(found.cost.argmin())
         fit.motion = Motion.constant(found.w[best], found.v[best])
         self._select(free, found.v[best], found.w[best])
@@ -222,28 +223,27 @@ class LatticeEstimator:
         """
         fit = self._fit
         assert fit.motion is not None
-        self._free = free
-        epipolar = self._epipolar
+        self._free, epipolar = free, self._epipolar
         middle, present = fit.motion.at(0.5)
-        here = epipolar.score(present, *free.evidence)
-        others = epipolar.search(*free.evidence)
+        sized = free.known is None
+        here = epipolar.score(present, *free.evidence, sized=sized)
+        others = epipolar.search(*free.evidence, sized=sized)
+        turn = epipolar.rotation(*free.evidence, sized=sized)
         if prior is not None:
             # A motion that puts part of the scene behind the camera has not proved itself.
-            doubt = (1 - abs(self._selector.agreement)) / _DOUBT
-            surprise = max(0.0, 1 - doubt) * prior.surprise(others.v)
-            others = replace(others, size=others.size + surprise)
+            trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
+            others = replace(others, size=others.size + trust * prior.surprise(others.v))
         best = int(others.cost.argmin())
         rotates = self._selector.model is MotionModel.ROTATION  # v is but a guess, held ready
         margin = 0.0 if rotates else _SWITCH * here.residual[0]
         switch = bool(others.cost[best] < here.cost[0] - margin)
-        w = here.w[0]
         if switch:
             here = others.at(best)
             present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
-            middle = w = here.w[0]
-        self._reader.possible = PossibleMotions.weigh(
-            (middle, present), here, others, epipolar.rotation(*free.evidence), free.seen[1]
-        )
+            middle = here.w[0]
+        w = here.w[0]
+        degree = temperature(here, others, free.seen[1]) if sized else 1.0
+        self._reader.possible = PossibleMotions.weigh((middle, present), here, others, turn, degree)
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()

@@ -144,15 +144,14 @@ class EstimateReader:
         fit, epipolar = self._fit, self._epipolar
         assert fit.motion is not None
         possible = PossibleMotions()
-        turn = epipolar.rotation(*free.seen)
+        turn = epipolar.rotation(*free.seen, sized=False)
         w = turn.w[0]
         if model is not MotionModel.ROTATION:
             v = fit.motion.at(0.5)[1]
-            here = epipolar.score(v, *free.seen)
+            here = epipolar.score(v, *free.seen, sized=False)
+            others = epipolar.search(*free.seen, sized=False)
             w = here.w[0]
-            possible = PossibleMotions.weigh(
-                (w, v), here, epipolar.search(*free.seen), turn, free.seen[1]
-            )
+            possible = PossibleMotions.weigh((w, v), here, others, turn)
         apart = replace(apart, w=None)  # that one may have come from the gyro
         covariance = possible.covariance(apart, w, 1.0, epipolar.px_per_rad)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend

@@ -3,12 +3,10 @@
 A contrast has many local maxima, and a flow near a wrong one still has a high contrast. Only a
 comparison with the result of another start shows such an error. The lattice estimator compares at
 three places: it starts from the best of several flows, it drops a fit that a constant flow
-surpasses, and it measures the distance to a second fit that does not know the estimate. This
-distance, that to the flow by an earlier scene (core.earlier_scene) and the length of the flow tell
-the probability that the estimate is wrong.
+surpasses, and it measures the distance to a second fit that does not know the estimate, by which
+core.doubt tells how likely the estimate is wrong.
 """
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,12 +17,9 @@ from emoflow_ros.core.contrast import (
     WindowEvents,
     best_constant_flow,
 )
-from emoflow_ros.core.estimate import Estimate, Estimator, Status
-from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice, bilinear
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.uncertainty import Disagreement
 
 F32 = NDArray[np.float32]
 
@@ -38,13 +33,6 @@ _EVENTS = 2_000  # are enough at low resolution
 _REACH_PX = 16.0  # of the fresh search, per window
 _SHARE = 0.75  # of the events: a few at the edges of depth may lie far apart
 _BETTER = 1.05  # contrast of a constant flow over that of the fit from which the fit is lost
-
-# Logistic regression of "the end-point error exceeds half of the displacement, or w or v is off by
-# 3 of its standard deviations and 5 deg/s or 20 degrees" over 5960 windows of the random
-# recordings with seeds 0 to 59 and those of the shared data (docs/method.md). Constant, then
-# factors of the natural logarithms of the distances plus 0.1 px.
-_ALONE = -2.18, 0.80  # the regression gives -2.03: nearly every start would be withheld
-_BOTH = -1.34, 0.90, 0.89, -0.86
 
 
 class SecondLook:
@@ -138,44 +126,3 @@ def is_lost(contrast: ImageContrast, events: WindowEvents, flow: F32, fresh: F32
 
 def _some(events: WindowEvents) -> WindowEvents:
     return events.every(max(1, len(events) // _EVENTS))
-
-
-def probability_of_failure(apart: Disagreement) -> float:
-    """Tell how likely a window's estimate is wrong, from 0 to 1."""
-    look = math.log(apart.second_look_px + 0.1)
-    if math.isnan(apart.earlier_px):
-        score = _ALONE[0] + _ALONE[1] * look
-    else:
-        earlier, moved = math.log(apart.earlier_px + 0.1), math.log(apart.moved_px + 0.1)
-        score = _BOTH[0] + _BOTH[1] * look + _BOTH[2] * earlier + _BOTH[3] * moved
-    return 1 / (1 + math.exp(-score))
-
-
-class ReliableOnly:
-    """Gives the status `uncertain`, and nothing else, to unreliable estimates (an Estimator).
-
-    Sparse texture, noise and objects that move can leave a window with a sharp image of warped
-    events and a wrong flow. The estimator starts the next window from it all the same, which often
-    corrects it.
-
-    Args:
-        estimator: whose estimates are judged.
-        max_doubt: probability of failure above which an estimate is withheld.
-    """
-
-    def __init__(self, estimator: Estimator, max_doubt: float) -> None:
-        self._estimator = estimator
-        self._max_doubt = max_doubt
-
-    def reset(self) -> None:
-        """Forget previous windows."""
-        self._estimator.reset()
-
-    def estimate(self, window: Window) -> Estimate:
-        """Estimate a window, if that can be done reliably."""
-        found = self._estimator.estimate(window)
-        if found.status is not Status.OK or not found.quality.doubt > self._max_doubt:
-            return found
-        return Estimate(
-            found.t_start, found.t_end, found.t, Status.UNCERTAIN, found.quality, gyro=found.gyro
-        )

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.explanations import Explanations, temperature
+from emoflow_ros.core.explanations import Explanations
 
 Array = NDArray[np.float64]
 
@@ -69,9 +69,9 @@ class PossibleMotions:
         here: Explanations,
         travels: Explanations,
         rotation: Explanations,
-        information: Array,
+        degree: float = 1.0,
     ) -> "PossibleMotions":
-        """Weigh motions by exp(-cost / 2), with the costs of a window divided by its temperature.
+        """Weigh motions by exp(-cost / (2 degree)).
 
         Before the flow is seen a camera that only turns is as likely as all travels together.
 
@@ -80,15 +80,14 @@ class PossibleMotions:
             here: what it costs.
             travels: other motions.
             rotation: a camera that only turns.
-            information: (nodes, 2, 2), inverse covariance of the flow.
+            degree: temperature of the window.
         """
         signs = np.where(travels.v @ present[1] < 0, -1.0, 1.0)[:, None]
         turn = np.concatenate([rotation.w[0] - present[0], np.zeros(3)])
         others = np.hstack([travels.w - present[0], signs * travels.v - present[1]])
         apart = np.vstack([np.zeros(6), others, turn])
         cost = np.concatenate([here.cost, travels.cost, rotation.cost])
-        least = min(float(here.residual[0]), float(travels.residual.min()))
-        weight = np.exp(-0.5 * (cost - cost.min()) / temperature(least, information))
+        weight = np.exp(-0.5 * (cost - cost.min()) / degree)
         weight[-1] *= len(travels.v)
         weight /= weight.sum()
         mean = weight @ apart

@@ -115,4 +115,6 @@ def test_a_scene_behind_the_camera_costs_its_whole_flow(epipolar, sign):
     found = epipolar.score(sign * v, flow, 1e4 * CERTAIN)
     np.testing.assert_allclose(found.w[0], 0, atol=1e-6)
     squares = (flow[turned & epipolar.usable] ** 2).sum(-1)
-    assert found.residual == pytest.approx(1e4 * np.sum(squares / (1 + squares / INLIER_PX**2)), rel=1e-3)
+    assert found.residual == pytest.approx(
+        1e4 * np.sum(squares / (1 + squares / INLIER_PX**2)), rel=1e-3
+    )

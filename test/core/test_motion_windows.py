@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.doubt import ReliableOnly
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
 from emoflow_ros.core.preparation import CleanWindows
-from emoflow_ros.core.second_look import ReliableOnly
 
 MS = 1_000_000
 START = 1_500_000_000_000_000_000

@@ -3,32 +3,58 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.core.doubt import Doubt, ReliableOnly
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.second_look import ReliableOnly, probability_of_failure
 from emoflow_ros.core.uncertainty import Disagreement
 
 WINDOW = Window(0, 100, Events.empty())
 
 
+def apart(look: float, earlier: float = np.nan, moved: float = 8.0) -> Disagreement:
+    return Disagreement(look, moved, earlier)
+
+
 def doubt(look: float, earlier: float = np.nan, moved: float = 8.0) -> float:
-    return probability_of_failure(Disagreement(look, moved, earlier))
+    """Of a first window: as if half of those before were confirmed."""
+    return Doubt().weigh(apart(look, earlier, moved))
+
+
+def logistic(score: float) -> float:
+    return 1 / (1 + np.exp(-score))
 
 
 def test_the_regression_by_hand():
-    alone = -2.18 + 0.8 * np.log(1.1)
-    assert doubt(1.0) == pytest.approx(1 / (1 + np.exp(-alone)), rel=1e-9)
-    both = -1.34 + 0.9 * np.log(1.1) + 0.89 * np.log(0.6) - 0.86 * np.log(8.1)
-    assert doubt(1.0, 0.5) == pytest.approx(1 / (1 + np.exp(-both)), rel=1e-9)
+    assert doubt(1.0) == pytest.approx(logistic(-2.45 + 0.8 * np.log(1.1)), rel=1e-9)
+    both = -1.1 + 0.9 * np.log(1.1) + 0.55 * np.log(0.6) - 0.8 * np.log(8.1)
+    assert doubt(1.0, 0.5) == pytest.approx(logistic(both), rel=1e-9)
+
+
+@pytest.mark.parametrize(("before", "confirmed"), [
+    (apart(1.0, 1.5), True), (apart(1.0, 2.5), False), (apart(1.0, 2.5, 10.0), True),
+    (apart(0.7), True), (apart(0.8), False),
+])  # fmt: skip
+def test_the_last_twenty_windows_count_by_whether_they_were_confirmed(before, confirmed):
+    """Five more, half of them confirmed, count as well."""
+    present = -0.1 + 0.9 * np.log(1.1) + 0.55 * np.log(0.6) - 0.8 * np.log(8.1)
+    for earlier in (1, 4, 20, 50):
+        judge = Doubt()
+        for _ in range(earlier):
+            judge.weigh(before)
+        known = min(earlier, 20)
+        share = (2.5 + known * confirmed) / (5 + known)
+        assert judge.weigh(apart(1.0, 0.5)) == pytest.approx(logistic(present - 2 * share))
+    judge.forget()
+    assert judge.weigh(apart(1.0, 0.5)) == doubt(1.0, 0.5)
 
 
 def test_the_further_other_explanations_lie_the_less_reliable():
     doubts = [doubt(distance) for distance in (0.0, 0.5, 1.0, 2.0, 5.0, 1e6)]
     assert doubts == sorted(doubts)
-    assert doubts[0] < 0.05 < 0.25 < doubts[-2] < doubts[-1] <= 1
+    assert doubts[0] < 0.05 < 0.2 < doubts[-2] < doubts[-1] <= 1
     earlier = [doubt(1.0, distance) for distance in (0.0, 0.5, 1.0, 2.0, 5.0, 1e6)]
     assert earlier == sorted(earlier)
-    assert earlier[0] < 0.02 < 0.15 < earlier[-2] < earlier[-1] <= 1
+    assert earlier[0] < 0.03 < 0.12 < earlier[-2] < earlier[-1] <= 1
 
 
 def test_the_same_distance_counts_less_where_the_image_moves_more():

@@ -22,17 +22,16 @@ def turned(angle: float) -> np.ndarray:
     return np.cos(angle) * V + np.sin(angle) * np.cross(axis, V)
 
 
-def explain(v, w, excess, usual: float = 0.1) -> Explanations:
-    """Motions (M, 3) that leave what is usual of the flow of no node, and cost an excess (M,)."""
+def explain(v, w, excess, residual: float = 0.0) -> Explanations:
+    """Motions (M, 3) that cost an excess (M,)."""
     v, w = np.atleast_2d(v), np.atleast_2d(w)
-    return Explanations(v, w, np.full(len(v), usual), np.broadcast_to(excess, len(v)))
+    return Explanations(v, w, np.full(len(v), residual), np.broadcast_to(excess, len(v)))
 
 
-def weigh(w, v, excess: float, turn_excess: float = NEVER, usual: float = 0.1) -> PossibleMotions:
+def weigh(w, v, excess: float, turn_excess: float = NEVER, degree: float = 1.0) -> PossibleMotions:
     """One other motion that travels, and a camera that only turns, by what they cost more."""
-    here, other = explain(V, W, 0.0, usual), explain(v, w, excess, usual)
-    turn = explain(np.zeros(3), np.zeros(3), turn_excess, usual)
-    return PossibleMotions.weigh((W, V), here, other, turn, np.zeros((1, 2, 2)))
+    turn = explain(np.zeros(3), np.zeros(3), turn_excess)
+    return PossibleMotions.weigh((W, V), explain(V, W, 0.0), explain(v, w, excess), turn, degree)
 
 
 def test_two_motions_that_explain_the_flow_alike_give_their_mean_and_spread():
@@ -54,7 +53,7 @@ def test_a_motion_is_as_likely_as_the_exponential_of_half_its_cost(excess):
 def test_a_camera_that_only_turns_weighs_as_much_as_all_directions():
     others = explain(np.tile(V, (7, 1)), np.tile(W, (7, 1)), NEVER)
     turn = explain(np.zeros(3), np.zeros(3), 0.0)
-    possible = PossibleMotions.weigh((W, V), explain(V, W, 0.0), others, turn, np.zeros((1, 2, 2)))
+    possible = PossibleMotions.weigh((W, V), explain(V, W, 0.0), others, turn)
     np.testing.assert_allclose(possible.mean[:3], -7 / 8 * W)
 
 
@@ -64,12 +63,13 @@ def test_a_camera_that_only_turns_weighs_as_much_as_all_directions():
 def test_the_temperature_is_the_root_of_what_is_left_over_what_is_usual(misfit, expected):
     """Of 100 nodes whose flow is known as well as it can be, a tenth of a node's cost each."""
     information = trusted(np.tile(1e9 * np.eye(2), (100, 1, 1)))
-    assert temperature(misfit * 0.1 * 100, information) == pytest.approx(expected)
+    least, more = (explain(V, W, 0.0, factor * misfit * 0.1 * 100) for factor in (1, 3))
+    assert temperature(least, more, information) == pytest.approx(expected)
+    assert temperature(more, least, information) == pytest.approx(expected)
 
 
-def test_costs_count_less_where_much_of_the_flow_is_left():
-    """Residuals four times the usual ones: the exponential of a quarter of the cost."""
-    possible = weigh(np.add(W, [0.04, 0.0, 0.0]), V, 2.0, usual=0.4)
+def test_costs_count_less_at_a_higher_temperature():
+    possible = weigh(np.add(W, [0.04, 0.0, 0.0]), V, 2.0, degree=2.0)
     assert possible.mean[0] == pytest.approx(0.04 * np.exp(-0.5) / (1 + np.exp(-0.5)))
 
 
