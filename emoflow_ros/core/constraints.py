@@ -114,10 +114,10 @@ def best_rotations(
     u - b w, not the part across the line alone: no depth explains it. v's sign is the one that
     makes this cheaper. The size of both parts of the flow has a cost of its own (docs/method.md):
 
-        depths sum [ln(1 + s) + q^2 / (var (1 + s))] + turns ln(|w|^2 + least^2)
+        depths sum weight [ln(1 + e) + q^2 / (var (1 + e))] + turns ln(|w|^2 f^2 + least^2)
 
-    with q the translational flow along the lines, var its variance, and s var the variance that
-    depths of an unknown common scale give it.
+    with q the translational flow along the lines, var its variance, e var the variance that depths
+    of an unknown common scale give it, and f the focal length.
 
     Args:
         line: (M, nodes, 2) epipolar lines a v of M directions of v.
@@ -130,7 +130,7 @@ def best_rotations(
         known: (3,) what w is expected to be.
         information: (3, 3) of that; zero where nothing is known.
         depths: independent depths per node.
-        turns: half the power of |w| that a rotation's probability falls with.
+        turns: the power of |w| that a rotation's probability falls with.
         px_per_rad: focal length.
         w: (M, 3), written.
         residual, size: (M,) costs, written.

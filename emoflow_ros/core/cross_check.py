@@ -99,15 +99,17 @@ class CrossCheck:
         return Disagreement(look, moved, apart(recalled.flow), recalled.w * window.duration)
 
     def doubt(self, apart: Disagreement) -> float:
-        """Tell how likely the fit is wrong, from 0 to 1. Call it once per window."""
+        """Tell how likely the fit is wrong, from 0 to 1."""
         return self._doubt.weigh(apart)
 
-    def keep(self, estimate: Estimate, flow: F32) -> None:
-        """Keep what a window has shown for later ones, where the second look bears it out.
+    def keep(self, estimate: Estimate, flow: F32, apart: Disagreement) -> None:
+        """Keep for later windows how well one was confirmed, and what it has shown.
 
         Args:
             estimate: of the window.
             flow: (columns, rows, times, 2) px per window of the lattice.
+            apart: how far other explanations lie from it.
         """
+        self._doubt.remember(apart)
         if estimate.quality.second_look_px <= _CREDIBLE_PX:
             self._scenes.keep(EarlierScene.shown(estimate, flow))

@@ -24,7 +24,8 @@ _UNKNOWN = 5  # as many more, half of them confirmed, are what is assumed before
 # with seeds 0 to 59 and those of the shared data (docs/method.md). Constant, then factors of the
 # natural logarithms of the lengths, then of the share of confirmed windows.
 _BOTH = -0.1, 0.9, 0.55, -0.8, -2.0
-_ALONE = -1.45, 0.8, -2.0  # the regression would withhold nearly every start
+# The first number is lower than the regression's, which would withhold nearly every start.
+_ALONE = -1.45, 0.8, -2.0
 
 
 class Doubt:
@@ -38,25 +39,31 @@ class Doubt:
         self._record.clear()
 
     def weigh(self, apart: Disagreement) -> float:
-        """Tell how likely the estimate of a window is wrong, from 0 to 1. Call it once per window.
+        """Tell how likely the estimate of a window is wrong, from 0 to 1.
 
         Args:
             apart: how far other explanations lie from it.
         """
-        look, earlier, moved = (
-            px + 0.1 for px in (apart.second_look_px, apart.earlier_px, apart.moved_px)
-        )
         share = (sum(self._record) + 0.5 * _UNKNOWN) / (len(self._record) + _UNKNOWN)
+        look, earlier, moved = (math.log(length) for length in _lengths(apart))
         if math.isnan(earlier):
-            confirmed = look < _CONFIRMED_ALONE_PX
-            score = _ALONE[0] + _ALONE[1] * math.log(look) + _ALONE[2] * share
+            score = _ALONE[0] + _ALONE[1] * look + _ALONE[2] * share
         else:
-            confirmed = look * earlier < _CONFIRMED_PX * moved
-            lengths = [math.log(length) for length in (look, earlier, moved)]
-            score = _BOTH[0] + _BOTH[4] * share
-            score += sum(factor * value for factor, value in zip(_BOTH[1:4], lengths, strict=True))
-        self._record.append(confirmed)
+            score = _BOTH[0] + _BOTH[1] * look + _BOTH[2] * earlier + _BOTH[3] * moved
+            score += _BOTH[4] * share
         return 1 / (1 + math.exp(-score))
+
+    def remember(self, apart: Disagreement) -> None:
+        """Remember whether a window with an estimate was confirmed, for those to come."""
+        look, earlier, moved = _lengths(apart)
+        alone = math.isnan(earlier)
+        confirmed = look < _CONFIRMED_ALONE_PX if alone else look * earlier < _CONFIRMED_PX * moved
+        self._record.append(confirmed)
+
+
+def _lengths(apart: Disagreement) -> tuple[float, float, float]:
+    """Distances to the second look and the earlier scene, length of the flow, each + 0.1 px."""
+    return apart.second_look_px + 0.1, apart.earlier_px + 0.1, apart.moved_px + 0.1
 
 
 class ReliableOnly:

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 _DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
 _REWEIGHTINGS = 4
 
-# How much likelier a motion of less flow is (docs/method.md): independent depths per node, and half
-# the power of |w| that the probability of a rotation falls with.
+# How much likelier a motion of less flow is (docs/method.md): independent depths per node, and the
+# power of |w| that the probability of a rotation falls with.
 _DEPTHS, _TURNS = 0.02, 1.0
 
 # (3,) rad per window and its information (3, 3)
@@ -184,8 +184,8 @@ class NodeEpipolar:
             flow: (nodes, 2) px per window.
             information: (nodes, 2, 2), inverse covariance of the flow.
             known: what else is known of w, in the same units.
-            sized: whether motions of less flow are likelier. It draws w to zero, which a mean
-                over many windows must not be.
+            sized: whether motions of less flow are likelier. Not for values that are averaged
+                over windows: it draws w to zero.
         """
         return self._explain(self._directions, self._lines, (flow, information, known), sized)
 

@@ -84,7 +84,7 @@ class Quality:
             px of the working image (core.second_look). NaN where not known.
         earlier_px: how far the flow by an earlier window's scene lies from this one, in px of the
             working image (core.earlier_scene). NaN where not known.
-        doubt: probability that the estimate is wrong (core.second_look); NaN where not known.
+        doubt: probability that the estimate is wrong (core.doubt); NaN where not known.
     """
 
     events: int

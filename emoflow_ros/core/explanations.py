@@ -41,8 +41,8 @@ class Explanations:
     Attributes:
         v: (M, 3) unit directions; zero for a camera that only turns.
         w: (M, 3) rad per window.
-        residual: (M,) cost of what the motion leaves of the flow.
-        size: (M,) cost of the flow that it takes.
+        residual: (M,) cost of what the motion leaves of the flow, and of other knowledge of w.
+        size: (M,) cost of how much flow it takes, and of what was known before.
     """
 
     v: Array
@@ -61,21 +61,24 @@ class Explanations:
         return Explanations(self.v[one], self.w[one], self.residual[one], self.size[one])
 
 
-def temperature(here: Explanations, others: Explanations, information: Array) -> float:
+def temperature(
+    here: Explanations, others: Explanations, usable: NDArray[np.bool_], information: Array
+) -> float:
     """Tell by how much the residuals of a window are larger or smaller than usual.
 
-    The error that lasts is not the same in every scene. The least residual of a window tells it
-    once more, so half of its logarithm counts.
+    The error that lasts is not the same in every scene. The result is the geometric mean of what
+    the window itself tells, by the least residual, and of what is usual, which is 1.
 
     Args:
         here: the motion that was fitted.
         others: other motions.
+        usable: (nodes,) which nodes count.
         information: (nodes, 2, 2), inverse covariance of the flow, as `trusted` tells it.
 
     Returns:
         What all costs are to be divided by.
     """
     least = min(float(here.residual[0]), float(others.residual.min()))
-    seen = 0.5 * _LASTING_PX2 * float(np.trace(information, axis1=1, axis2=2).sum())
+    seen = 0.5 * _LASTING_PX2 * float(usable @ np.trace(information, axis1=1, axis2=2))
     misfit = least / max(seen, 1.0) / _USUAL_MISFIT
     return float(np.sqrt(np.clip(misfit, _LEAST_MISFIT, _MOST_MISFIT)))

@@ -44,7 +44,7 @@ _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 _DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
 _ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
-_SWITCH = 0.2  # share of what is left of the flow that another direction of v must explain
+_SWITCH = 0.2  # of what the present direction of v leaves: so much less another one must cost
 
 
 class LatticeEstimator:
@@ -136,7 +136,7 @@ class LatticeEstimator:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
-        self._check.keep(result, fit.flow)
+        self._check.keep(result, fit.flow, apart)
         return result
 
     def _fit_cold(self, events: WindowEvents) -> str:
@@ -233,6 +233,7 @@ class LatticeEstimator:
             # A motion that puts part of the scene behind the camera has not proved itself.
             trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
             others = replace(others, size=others.size + trust * prior.surprise(others.v))
+        heat = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
         best = int(others.cost.argmin())
         rotates = self._selector.model is MotionModel.ROTATION  # v is but a guess, held ready
         margin = 0.0 if rotates else _SWITCH * here.residual[0]
@@ -242,8 +243,7 @@ class LatticeEstimator:
             present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
             middle = here.w[0]
         w = here.w[0]
-        degree = temperature(here, others, free.seen[1]) if sized else 1.0
-        self._reader.possible = PossibleMotions.weigh((middle, present), here, others, turn, degree)
+        self._reader.possible = PossibleMotions.weigh((middle, present), here, others, turn, heat)
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()

@@ -71,8 +71,8 @@ class ModelSelector:
         known = np.zeros(3), np.zeros((3, 3))
         if free.known is not None:
             known = free.known[0], INFORMATION_EXCESS * free.known[1]
-        rotation = epipolar.rotation(free.flow, free.information, known)
-        full = epipolar.score(v, free.flow, free.information, known)
+        rotation = epipolar.rotation(free.flow, free.information, known, sized=False)
+        full = epipolar.score(v, free.flow, free.information, known, sized=False)
         more = rotation.residual[0] / (_FREEDOM * full.residual[0] + 1e-12)
         left = _evident_norm(free.flow - epipolar.b @ rotation.w[0], free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)

@@ -2,8 +2,9 @@
 
 Many motions may explain the flow of a window nearly as well: a turn looks much like a sideways
 travel. Each direction of travel, with the best rotation for it, and a camera that only turns have a
-cost: the squared residuals of the flow, by its inverse covariance. exp(-cost / 2) is how likely
-such a motion is. The estimate is the mean over them, and their spread is a part of its covariance.
+cost (core.explanations): what they leave of the flow, and how much flow they take. How likely a
+motion is falls exponentially with it. The estimate is the mean over them, and their spread is a
+part of its covariance.
 
 The other part is the error of the flow that the residuals do not show. Two other explanations of
 the window show how large it is: a fresh fit of the flow (core.second_look) and the scene of an
@@ -69,9 +70,9 @@ class PossibleMotions:
         here: Explanations,
         travels: Explanations,
         rotation: Explanations,
-        degree: float = 1.0,
+        heat: float = 1.0,
     ) -> "PossibleMotions":
-        """Weigh motions by exp(-cost / (2 degree)).
+        """Weigh motions by exp(-cost / (2 heat)).
 
         Before the flow is seen a camera that only turns is as likely as all travels together.
 
@@ -80,14 +81,14 @@ class PossibleMotions:
             here: what it costs.
             travels: other motions.
             rotation: a camera that only turns.
-            degree: temperature of the window.
+            heat: temperature of the window (core.explanations).
         """
         signs = np.where(travels.v @ present[1] < 0, -1.0, 1.0)[:, None]
         turn = np.concatenate([rotation.w[0] - present[0], np.zeros(3)])
         others = np.hstack([travels.w - present[0], signs * travels.v - present[1]])
         apart = np.vstack([np.zeros(6), others, turn])
         cost = np.concatenate([here.cost, travels.cost, rotation.cost])
-        weight = np.exp(-0.5 * (cost - cost.min()) / degree)
+        weight = np.exp(-0.5 * (cost - cost.min()) / heat)
         weight[-1] *= len(travels.v)
         weight /= weight.sum()
         mean = weight @ apart

@@ -40,7 +40,7 @@ def test_the_last_twenty_windows_count_by_whether_they_were_confirmed(before, co
     for earlier in (1, 4, 20, 50):
         judge = Doubt()
         for _ in range(earlier):
-            judge.weigh(before)
+            judge.remember(before)
         known = min(earlier, 20)
         share = (2.5 + known * confirmed) / (5 + known)
         assert judge.weigh(apart(1.0, 0.5)) == pytest.approx(logistic(present - 2 * share))
