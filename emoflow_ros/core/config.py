@@ -67,7 +67,7 @@ class GyroConfig:
         maximum=10.0,
     )
     bias_deg_s: float = option(
-        2.0,
+        1.0,
         "standard deviation of the gyro's bias before anything is known of it",
         unit="deg/s",
         minimum=0.0,

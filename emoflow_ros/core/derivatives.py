@@ -87,8 +87,8 @@ def pull(
             # The change in time acts through the acceleration, too: as at half the way to `ref`.
             t = half * (s[k] + middle) * cells[2]
             cell, tx, ty, tt = _place(x[k] * per_px[0], y[k] * per_px[1], t, cells)
-            i = int(py)
-            j = int(px)
+            i = np.int32(py)
+            j = np.int32(px)
             fy = py - np.float32(i)
             fx = px - np.float32(j)
             at = np.uint64(i * w + j)
@@ -155,7 +155,7 @@ def stiffen(
             cell, fx, fy, ft = _place(x[k] * per_px[0], y[k] * per_px[1], t, cells)
             dt = (middle - s[k]) * zoom
             lever = weights[k] * dt * dt * share
-            at = np.uint64(int(py + half) * w + int(px + half))
+            at = np.uint64(np.int32(py + half) * w + np.int32(px + half))
             twice = two * potential[at]
             xx = lever * (twice - potential[at - right] - potential[at + right])
             yy = lever * (twice - potential[at - down] - potential[at + down])

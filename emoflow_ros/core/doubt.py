@@ -8,9 +8,11 @@ were confirmed, one that seems right is more often so by chance.
 
 import math
 from collections import deque
+from dataclasses import replace
 
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import Window
+from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.uncertainty import Disagreement
 
 # A window is confirmed by the product of the two distances over the length of its flow, px; without
@@ -67,7 +69,10 @@ def _lengths(apart: Disagreement) -> tuple[float, float, float]:
 
 
 class ReliableOnly:
-    """Gives the status `uncertain`, and nothing else, to unreliable estimates (an Estimator).
+    """Withholds what is unreliable (an Estimator).
+
+    An unreliable estimate gets the status `uncertain`, and nothing else. With a gyro only its flow
+    is withheld, and v if the flow is more doubtful still (core.reading): w is known.
 
     Sparse texture, noise and objects that move can leave a window with a sharp image of warped
     events and a wrong flow. The estimator starts the next window from it all the same, which often
@@ -75,7 +80,7 @@ class ReliableOnly:
 
     Args:
         estimator: whose estimates are judged.
-        max_doubt: probability of failure above which an estimate is withheld.
+        max_doubt: probability of failure above which an estimate, or its flow, is withheld.
     """
 
     def __init__(self, estimator: Estimator, max_doubt: float) -> None:
@@ -91,6 +96,8 @@ class ReliableOnly:
         found = self._estimator.estimate(window)
         if found.status is not Status.OK or not found.quality.doubt > self._max_doubt:
             return found
+        if found.gyro.state is GyroState.USED:
+            return replace(found, flow=None)
         return Estimate(
             found.t_start, found.t_end, found.t, Status.UNCERTAIN, found.quality, gyro=found.gyro
         )

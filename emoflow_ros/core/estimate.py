@@ -121,7 +121,8 @@ class Estimate:
         angular: (3,) rad/s in the camera's optical frame.
         covariance: (6, 6) of (linear, angular), the order of ROS twists; [0, 0] is -1
             where translation is not observable (REP-145's idiom).
-        flow: the flow field; None unless the status is OK.
+        flow: the flow field; None unless the status is OK. With a gyro it is None in an estimate
+            whose flow is doubtful, too (core.doubt).
         motion: the egomotion over the window; None unless the status is OK.
         quality: the record behind the status.
         gyro: whether a gyro took part.

@@ -97,8 +97,8 @@ class LatticeConfig:
     )
     max_doubt: float = option(
         0.07,
-        "probability of failure above which a window gives no estimate but the status uncertain; "
-        "1 withholds none",
+        "probability of failure above which a window gives no estimate but the status uncertain, "
+        "with a gyro no flow; 1 withholds none",
         minimum=0.0,
         maximum=1.0,
     )

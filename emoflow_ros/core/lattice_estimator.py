@@ -30,7 +30,7 @@ from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
 from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
-from emoflow_ros.core.reading import EstimateReader
+from emoflow_ros.core.reading import EstimateReader, with_gyro
 from emoflow_ros.core.second_look import best_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions
@@ -137,7 +137,7 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         self._check.keep(result, fit.flow, apart)
-        return result
+        return with_gyro(result, measurement, self.config.max_doubt)
 
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""

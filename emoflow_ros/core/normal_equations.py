@@ -6,8 +6,9 @@ Matrices are in lower band storage: band[j, i - j] is entry (i, j).
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, lapack
+from scipy.linalg import cho_factor, cho_solve
 
+from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 
@@ -18,10 +19,6 @@ F64 = NDArray[np.float64]
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
 
 _compiled = numba.njit(cache=True, nogil=True)
-
-
-class NotPositiveDefiniteError(np.linalg.LinAlgError):
-    """The normal equations have no unique minimum: the fit has diverged."""
 
 
 class NormalEquations:
@@ -106,10 +103,13 @@ class NormalEquations:
         Raises:
             NotPositiveDefiniteError: there is none.
         """
-        _, step, info = lapack.dpbsv(self.band.T, self.vector, lower=1)
-        if info != 0 or not np.isfinite(step).all():
+        factor = BandFactor(self.band)
+        step = self.vector.copy()[:, None]
+        factor.forward(step)
+        factor.backward(step)
+        if not np.isfinite(step).all():
             raise NotPositiveDefiniteError
-        return step
+        return step[:, 0]
 
     def solve_bordered(self) -> tuple[Array, Array]:
         """Solve for the field and the further unknowns at once, by the Schur complement.
@@ -120,12 +120,10 @@ class NormalEquations:
         Raises:
             NotPositiveDefiniteError: there is no minimum.
         """
-        factor, info = lapack.dpbtrf(self.band.T, lower=1)
-        if info != 0:
-            raise NotPositiveDefiniteError
+        factor = BandFactor(self.band)
         both = np.empty((len(self.vector), 1 + len(self.corner)), order="F")
         both[:, 0], both[:, 1:] = self.vector, self.border
-        both, _ = lapack.dtbtrs(factor, both, uplo="L", overwrite_b=1)
+        factor.forward(both)
         of_field, across = both[:, 0], both[:, 1:]
         marginal = self.corner - across.T @ across
         try:
@@ -133,10 +131,10 @@ class NormalEquations:
         except (np.linalg.LinAlgError, ValueError) as error:
             raise NotPositiveDefiniteError from error
         left = (of_field - across @ further)[:, None]
-        step = lapack.dtbtrs(factor, left, uplo="L", trans="T")[0][:, 0]
-        if not np.isfinite(step).all():
+        factor.backward(left)
+        if not np.isfinite(left).all():
             raise NotPositiveDefiniteError
-        return step, further
+        return left[:, 0], further
 
 
 @_compiled

@@ -179,14 +179,15 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
     if not len(events) or (events.t[-1] - events.t[0]) * 1e-9 < _SHORTEST_LAMP_S:
         return events
     some = spread(events, len(events) // max(1, len(events) // _LAMP_SAMPLE))
-    flickers = _flickering_blocks(some, (some.t - some.t[0]) * 1e-9, width, height)
+    seconds = ((some.t - some.t[0]) * 1e-9).astype(np.float32)
+    flickers = _flickering_blocks(some, seconds, width, height)
     if not flickers.any():
         return events
     return events[~flickers[_lamp_blocks(events, width)]]
 
 
 def _flickering_blocks(
-    events: Events, seconds: NDArray[np.float64], width: int, height: int
+    events: Events, seconds: NDArray[np.float32], width: int, height: int
 ) -> NDArray[np.bool_]:
     count = -(-width // _LAMP_BLOCK) * -(-height // _LAMP_BLOCK)
     part = np.minimum((seconds * (_LAMP_PARTS / seconds[-1])).astype(np.intp), _LAMP_PARTS - 1)
@@ -198,7 +199,7 @@ def _flickering_blocks(
         certain = often.copy()
         for k in range(_LAMP_PARTS):  # few blocks are left after the first
             some = np.flatnonzero((part == k) & certain[block])
-            angle = (2 * np.pi * frequency) * seconds[some]
+            angle = np.float32(2 * np.pi * frequency) * seconds[some]
             sign = np.where(events.p[some], 1.0, -1.0)
             waves = [np.bincount(block[some], sign * wave(angle), count)
                      for wave in (np.cos, np.sin)]  # fmt: skip

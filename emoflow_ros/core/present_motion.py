@@ -43,14 +43,15 @@ _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 class _Scene:
     """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and the scene.
 
-    `gyro` is the gyro's angular velocity at t, or None.
+    `known` is None where the window's flow was doubtful. `gyro` is the gyro's angular velocity at
+    t, or None.
     """
 
     t: int
     length_ns: int
     motion: Array
     covariance: Array
-    known: KnownScene
+    known: KnownScene | None
     travels: bool
     gyro: Array | None
 
@@ -83,47 +84,41 @@ class PresentMotion:
             gyro: its readings.
         """
         self._scene = None
-        if estimate.status is Status.OK and estimate.flow is not None:
-            self._scene = self._see(estimate, estimate.flow, gyro)
+        if estimate.status is Status.OK:
+            self._scene = self._see(estimate, gyro)
 
     def estimate(self, window: Window) -> PresentTwist | None:
         """Estimate the motion at the end of a slice of events.
+
+        After a window whose flow was doubtful, the gyro alone carries its motion on.
 
         Args:
             window: the newest SLICE_MS of the events. Where fast motion has made the estimate's
                 window shorter, only so much of it is used.
 
         Returns:
-            None without an estimate of the last 300 ms to start from, or with too few events.
+            None without an estimate of the last 300 ms to start from, with too few events, or with
+            neither a scene nor a gyro.
         """
         scene = self._scene
         if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:
             return None
         part = clean(window, self._image.sensor).since(window.t_end - scene.length_ns)
-        events = prepare(part, self._image, self._config)
-        if events is None:
-            return None
         middle = (part.t_start + part.t_end) // 2
         turned = self._turned(scene, middle, window.gyro)
         drift = self._drift.copy()
         if turned is not None:
             drift[:3] = 0.0
         since = max(0, middle - scene.t) / NS_PER_S
-        known = scene.covariance + np.diag(drift * since)
-        predicted = np.zeros(6)
-        if turned is not None:
-            predicted[:3] = turned
-            known[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
-        free = 6 if scene.travels else 3
+        covariance = scene.covariance + np.diag(drift * since)
         change = np.zeros(6)
-        try:
-            prior = predicted[:free], np.linalg.inv(known[:free, :free])
-            change[:free], information = scene.known.fit(
-                self._contrast, self._equations, events, part.duration, prior, prior[0], _STEPS
-            )
-            covariance = known
-            covariance[:free, :free] = np.linalg.inv(information)
-        except np.linalg.LinAlgError:
+        if turned is not None:
+            change[:3] = turned
+            covariance[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
+        if scene.known is not None:
+            if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
+                return None
+        elif turned is None:
             return None
         now = self._turned(scene, window.t_end, window.gyro)
         if turned is not None and now is not None:
@@ -133,13 +128,30 @@ class PresentMotion:
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
         return _read(window.t_end, scene, change, covariance)
 
-    def _see(self, estimate: Estimate, flow: FlowSampler, gyro: GyroReadings | None) -> _Scene:
-        epipolar, image = self._epipolar, self._image
-        points = self._lattice.pixels * image.sensor_px
-        moved = flow.tracks(points, [estimate.t, estimate.t + _FLOW_STEP_NS])[1] - points
-        rate = moved / image.sensor_px * (NS_PER_S / _FLOW_STEP_NS)
+    def _fit(
+        self, known: KnownScene, part: Window, change: Array, covariance: Array, free: int
+    ) -> bool:
+        """Fit the first `free` numbers of the change (6,) to events; False if that cannot be done.
+
+        The change as predicted and its covariance (6, 6) are replaced by those that follow.
+        """
+        events = prepare(part, self._image, self._config)
+        if events is None:
+            return False
+        try:
+            predicted = change[:free].copy()
+            prior = predicted, np.linalg.inv(covariance[:free, :free])
+            change[:free], information = known.fit(
+                self._contrast, self._equations, events, part.duration, prior, predicted, _STEPS
+            )
+            covariance[:free, :free] = np.linalg.inv(information)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> _Scene:
         w, v = estimate.angular, estimate.linear
-        known = KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
+        known = None if estimate.flow is None else self._shown(estimate.flow, estimate.t, w, v)
         travels = estimate.translation_observable
         turn = None
         if estimate.gyro.state is GyroState.USED:
@@ -147,6 +159,14 @@ class PresentMotion:
         length = estimate.t_end - estimate.t_start
         motion = np.concatenate([w, v])
         return _Scene(estimate.t, length, motion, motion_covariance(estimate), known, travels, turn)
+
+    def _shown(self, flow: FlowSampler, t: int, w: Array, v: Array) -> KnownScene:
+        """Take the scene from a flow and the motion (w, v) at time t, ns."""
+        epipolar, image = self._epipolar, self._image
+        points = self._lattice.pixels * image.sensor_px
+        moved = flow.tracks(points, [t, t + _FLOW_STEP_NS])[1] - points
+        rate = moved / image.sensor_px * (NS_PER_S / _FLOW_STEP_NS)
+        return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
     def _turned(self, scene: _Scene, t: int, gyro: GyroReadings | None) -> Array | None:
         """Change of w (3,) since the scene was seen as the gyro tells it, bias and all."""

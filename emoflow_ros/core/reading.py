@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.belief import Belief, KnownRotation
 from emoflow_ros.core.camera_motion import SplineMotion, basis
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.events import NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import GyroStatus
+from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
@@ -19,6 +20,9 @@ from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import Claims, Disagreement, PossibleMotions, without_travel
 
 Array = NDArray[np.float64]
+
+# Times max_doubt: doubt about the flow above which it does not tell v, w being known.
+_UNKNOWN_TRAVEL = 2.0
 
 
 class EstimateReader:
@@ -167,3 +171,37 @@ class EstimateReader:
             residual_px=scale * float(self._image.sensor_px.max()),
             inlier_fraction=inliers,
         )
+
+
+def with_gyro(
+    estimate: Estimate, measurement: GyroMeasurement | None, max_doubt: float
+) -> Estimate:
+    """Let a gyro tell w, and the events v, unless the flow is too doubtful for that.
+
+    What the events know of w is in the gyro's bias by then: counted again in every window they
+    would make w too sure, and no better.
+
+    Args:
+        estimate: of a window.
+        measurement: of the gyro over the window; None without one.
+        max_doubt: see LatticeConfig.
+    """
+    if measurement is None:
+        return estimate
+    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+    known = KnownRotation.measured(measurement, seconds)
+    points = (known.control_points() + known.bend) / seconds
+    covariance = estimate.covariance.copy()
+    covariance[3:, 3:] = measurement.middle_covariance
+    found = replace(estimate, angular=measurement.middle, covariance=covariance)
+    travel = np.zeros_like(points)
+    if estimate.quality.doubt > _UNKNOWN_TRAVEL * max_doubt:
+        found = replace(
+            found,
+            model=MotionModel.ROTATION,
+            linear=np.zeros(3),
+            covariance=without_travel(covariance),
+        )
+    elif isinstance(estimate.motion, SplineMotion):
+        travel = estimate.motion.linear_points
+    return replace(found, motion=SplineMotion(found.t_start, found.t_end, points, travel))

@@ -20,12 +20,11 @@ from typing import Any, Self
 from uuid import uuid4
 
 import h5py
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
@@ -104,7 +103,7 @@ class LabelWriter:
         self._camera = header.camera
         self._chunk = chunk
         size = header.camera.height, header.camera.width
-        valid = Column(size, "?", "", "pixels with an event of the window and an estimate", chunk=1)
+        valid = Column(size, "?", "", "pixels with an event of the window and a flow", chunk=1)
         self._writer = EstimatesWriter(
             path,
             camera=header.camera,
@@ -117,11 +116,10 @@ class LabelWriter:
 
     def append(self, window: Window, estimate: Estimate, note: str) -> None:
         """Add one window; `note` is the exception, if the estimator raised one."""
-        ok = estimate.status is Status.OK
         events = window.since(estimate.t_start).events  # an estimate may be of its latest part
         seen = event_mask(events, self._camera.width, self._camera.height)
         more = {
-            "valid": seen if ok else np.zeros_like(seen),
+            "valid": seen & (estimate.flow is not None),
             "note": note,
             "chunk": self._chunk,
         }

@@ -103,6 +103,7 @@ def pack(estimate: Estimate) -> tuple[dict[str, Any], Arrays]:
         "t": estimate.t,
         "status": estimate.status,
         "model": estimate.model,
+        "has_flow": estimate.flow is not None,
         "quality": asdict(estimate.quality),
         "gyro": [estimate.gyro.state, estimate.gyro.reason],
     }
@@ -129,7 +130,7 @@ def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
         angular=arrays.pop("angular"),
         covariance=arrays.pop("covariance"),
     )
-    return Result(task, estimate, pictures=arrays)
+    return Result(task, estimate, has_flow=header["has_flow"], pictures=arrays)
 
 
 def pack_present(found: PresentTwist | None) -> tuple[dict[str, Any], Arrays]:

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
@@ -162,6 +162,7 @@ def judge_result(
     values = {
         "model": str(estimate.model),
         "translation_observable": str(estimate.translation_observable).lower(),
+        "flow": str(result.has_flow).lower(),
         "scale": scale,
         "gyro": str(estimate.gyro),
         "contrast_gain": f"{quality.contrast_gain:.3f}",
@@ -174,7 +175,7 @@ def judge_result(
     }
     common = _window_values(result.stamp, now, str(estimate.status), quality.events)
     level = max(_LEVELS[estimate.status], Level.WARN if problems else Level.OK)
-    return Report(level, "; ".join([_estimate_message(estimate), *problems]), common | values)
+    return Report(level, "; ".join([_estimate_message(result), *problems]), common | values)
 
 
 def judge_dropped(task: Task, reason: str, now: int) -> Report:
@@ -232,10 +233,14 @@ def to_status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
     )
 
 
-def _estimate_message(estimate: Estimate) -> str:
+def _estimate_message(result: Result) -> str:
+    estimate = result.estimate
+    words = [str(estimate.status)]
     if estimate.status is Status.OK and not estimate.translation_observable:
-        return f"{estimate.status}, translation not observable"
-    return str(estimate.status)
+        words.append("translation not observable")
+    if estimate.status is Status.OK and not result.has_flow:
+        words.append("flow withheld")
+    return ", ".join(words)
 
 
 def _lost_values(task: Task, now: int, status: str) -> dict[str, str]:

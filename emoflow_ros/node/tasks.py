@@ -90,12 +90,14 @@ class Result:
     Attributes:
         task: what was asked.
         estimate: `flow` and `motion` are None.
-        pictures: those wished for, by name; none unless the status is OK.
+        pictures: those wished for, by name; none unless the status is OK and there is a flow.
+        has_flow: whether there is one.
     """
 
     task: Task
     estimate: Estimate
     pictures: Arrays = field(default_factory=dict)
+    has_flow: bool = True
 
     @property
     def stamp(self) -> int:

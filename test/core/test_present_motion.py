@@ -149,6 +149,26 @@ def test_a_gyro_tells_the_change_since_the_window_whatever_its_bias() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2.0 < np.sqrt(np.mean(np.square(held)))
 
 
+def test_after_a_doubtful_flow_the_gyro_alone_carries_the_motion_on() -> None:
+    its, estimate = last("agile")
+    assert estimate.translation_observable
+    no_flow = replace(
+        estimate, angular=its.angular(estimate.t), flow=None, gyro=GyroStatus(GyroState.USED)
+    )
+    bias = np.radians([3.0, -2.0, 1.0])
+    present = its.present()
+    present.know(no_flow, with_gyro(its.slice(estimate.t_end), its, bias).gyro)
+    t = estimate.t_end + LATE_NS
+    found = present.estimate(with_gyro(its.slice(t), its, bias))
+    assert found is not None
+    assert degrees(found.twist.angular - its.angular(t)) < 0.5
+    assert degrees(its.angular(estimate.t) - its.angular(t)) > 5
+    np.testing.assert_allclose(found.twist.linear, estimate.linear, atol=1e-9)
+    of_v = np.trace(found.covariance[:3, :3])
+    assert of_v > np.trace(estimate.covariance[:3, :3])
+    assert present.estimate(its.slice(t)) is None
+
+
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
 def test_after_a_window_without_an_estimate_there_is_no_motion_of_now(status: Status) -> None:
     its, estimate = last("calm")

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.doubt import Doubt, ReliableOnly
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.gyro_checks import GyroFault, GyroState, GyroStatus
+from emoflow_ros.core.gyro_measurement import GyroMeasurement
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.reading import with_gyro
 from emoflow_ros.core.uncertainty import Disagreement
 
+LATTICE = Lattice(20, 20, 2, 2, 2)
+TRAVEL = SplineMotion(0, 100_000_000, np.ones((4, 3)), np.ones((4, 3)))
 WINDOW = Window(0, 100, Events.empty())
 
 
@@ -64,9 +71,12 @@ def test_the_same_distance_counts_less_where_the_image_moves_more():
 class Scripted:
     """Gives the doubts in turn."""
 
-    def __init__(self, *doubts: float, status: Status = Status.OK) -> None:
+    def __init__(
+        self, *doubts: float, status: Status = Status.OK, gyro: GyroStatus | None = None
+    ) -> None:
         self._doubts = iter(doubts)
         self._status = status
+        self._gyro = gyro or GyroStatus()
         self.resets = 0
 
     def reset(self) -> None:
@@ -74,8 +84,9 @@ class Scripted:
 
     def estimate(self, window: Window) -> Estimate:
         quality = Quality(events=7, doubt=next(self._doubts))
-        return Estimate(window.t_start, window.t_end, 50, self._status, quality,
-                        MotionModel.FULL, np.ones(3), np.ones(3), np.eye(6))  # fmt: skip
+        flow = LatticeFlow(LATTICE, np.zeros(LATTICE.shape, np.float32), 0, 100)
+        return Estimate(window.t_start, window.t_end, 50, self._status, quality, MotionModel.FULL,
+                        np.ones(3), np.ones(3), np.eye(6), flow, TRAVEL, self._gyro)  # fmt: skip
 
 
 def test_only_what_is_reliable_goes_on():
@@ -91,6 +102,44 @@ def test_only_what_is_reliable_goes_on():
     assert unsure.covariance[0, 0] == -1 and not unsure.translation_observable
     estimator.reset()
     assert inner.resets == 1
+
+
+def test_with_a_gyro_only_the_flow_is_withheld():
+    estimator = ReliableOnly(Scripted(0.2, 0.9, gyro=GyroStatus(GyroState.USED)), 0.2)
+    sure, unsure = (estimator.estimate(WINDOW) for _ in range(2))
+    assert sure.flow is not None and unsure.flow is None
+    assert unsure.status is Status.OK and unsure.translation_observable
+    np.testing.assert_array_equal(unsure.angular, 1)
+    np.testing.assert_array_equal(unsure.covariance, np.eye(6))
+
+
+def test_a_gyro_tells_w_and_a_flow_that_is_not_too_doubtful_v():
+    """w(s) = c0 + c1 (2s - 1) + c2 (6s^2 - 6s + 1): in the middle c0 - c2 / 2."""
+    coefficients = np.array([[0.5, -0.2, 0.1], [0.1, 0.0, -0.3], [0.02, 0.04, 0.0]])
+    covariances = np.stack([np.diag([4.0, 5.0, 6.0]), np.eye(3), 4 * np.eye(3)]) * 1e-4
+    end = 100_000_000
+    measurement = GyroMeasurement(0, end, coefficients, covariances)
+    window = Window(0, end, Events.empty())
+    doubtful, wrong = (Scripted(doubt).estimate(window) for doubt in (0.2, 0.21))
+    assert with_gyro(wrong, None, 0.1) is wrong
+    for estimate, travels in ((doubtful, True), (wrong, False)):
+        found = with_gyro(estimate, measurement, 0.1)
+        assert found.status is Status.OK and found.translation_observable == travels
+        np.testing.assert_allclose(found.angular, [0.49, -0.22, 0.1])
+        np.testing.assert_allclose(found.covariance[3:, 3:], np.diag([5.0, 6.0, 7.0]) * 1e-4)
+        np.testing.assert_array_equal(found.linear, float(travels))
+        assert found.covariance[0, 0] == (1 if travels else -1)
+        assert found.motion is not None
+        for t in (0, end // 2, end):
+            expected = [0.49, -0.22, 0.1] + (2 * t / end - 1) * coefficients[1]
+            np.testing.assert_allclose(found.motion.angular(t), expected, atol=1e-12)
+            np.testing.assert_allclose(found.motion.linear(t), travels * 3**-0.5)
+
+
+def test_a_rejected_gyro_vouches_for_nothing():
+    rejected = GyroStatus(GyroState.REJECTED, GyroFault.FROZEN)
+    estimator = ReliableOnly(Scripted(0.9, gyro=rejected), 0.2)
+    assert estimator.estimate(WINDOW).status is Status.UNCERTAIN
 
 
 def test_other_verdicts_stay():

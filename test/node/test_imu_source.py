@@ -183,6 +183,7 @@ def test_the_gyros_status_crosses_the_channel() -> None:
     estimate = Estimate(0, 1, 0, Status.NO_MOTION, Quality(events=1), gyro=status)
     result = unpack(task, *pack(estimate))
     assert result.estimate.gyro == status
+    assert not result.has_flow
 
 
 def test_the_node_gives_windows_the_readings_that_they_have_offline(monkeypatch) -> None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,7 @@ def test_status_of_an_estimate_holds_its_quality_and_age(task: Task) -> None:
         "lag_ms": "250.0",
         "model": "full",
         "translation_observable": "true",
+        "flow": "true",
         "scale": "none",
         "gyro": "none",
         "contrast_gain": "1.250",
@@ -57,6 +60,12 @@ def test_pure_rotation_is_named(task: Task) -> None:
     report = judge_result(answer(task, Status.OK, MotionModel.ROTATION), now=0)
     assert (report.level, report.message) == (Level.OK, "ok, translation not observable")
     assert report.values["translation_observable"] == "false"
+
+
+def test_a_flow_that_is_withheld_is_named(task: Task) -> None:
+    report = judge_result(replace(answer(task, Status.OK), has_flow=False), now=0)
+    assert (report.level, report.message) == (Level.OK, "ok, flow withheld")
+    assert report.values["flow"] == "false"
 
 
 def test_twist_that_is_not_what_was_asked_for_warns(task: Task) -> None:
