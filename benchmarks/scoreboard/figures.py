@@ -79,7 +79,8 @@ class Figures:
         windows, estimates: how many windows there are, and how many have an estimate.
         moving, still: windows that move by at least 3 px, and that do not.
         covered_moving, covered_still: share of those with an estimate.
-        epe_px: mean over windows with an estimate of the mean end-point error over event pixels.
+        flow_moving: share of the moving windows with a flow whose truth is known.
+        epe_px: mean over windows with a flow of the mean end-point error over event pixels.
         truth_px: mean true displacement of the same pixels of the same windows.
         epe_percent: the one over the other.
         w_rms: root mean square of the length of w's error, deg/s, windows with an estimate.
@@ -109,6 +110,7 @@ class Figures:
     still: int
     covered_moving: float
     covered_still: float
+    flow_moving: float
     epe_px: float
     truth_px: float
     epe_percent: float
@@ -180,6 +182,7 @@ def figures_of(windows: Windows, gyro_scale: float = 1.0) -> Figures:
         still=int(still.sum()),
         covered_moving=_share(ok[moving]),
         covered_still=_share(ok[still]),
+        flow_moving=_share(flow[moving]),
         epe_px=epe,
         truth_px=way,
         epe_percent=_percent(epe, way),

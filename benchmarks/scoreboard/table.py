@@ -10,6 +10,7 @@ from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
 COLUMNS = (
     ("est %", "covered_moving", 0),
     ("still %", "covered_still", 0),
+    ("flow %", "flow_moving", 0),
     ("EPE px", "epe_px", 2),
     ("of px", "truth_px", 1),
     ("w deg/s", "w_rms", 2),

@@ -50,6 +50,7 @@ class BandFactor:
     """
 
     def __init__(self, band: Array) -> None:
+        assert band.dtype == np.float64 and band.flags.c_contiguous
         self._factor = band.copy()
         size, rows = band.shape
         info = ctypes.c_int()
@@ -71,7 +72,7 @@ class BandFactor:
 
     def _solve(self, transposed: bytes, right: Array) -> None:
         size, rows = self._factor.shape
-        assert right.shape[0] == size and right.flags.f_contiguous
+        assert right.shape[0] == size and right.dtype == np.float64 and right.flags.f_contiguous
         columns = right.shape[1]
         info = ctypes.c_int()
         _dtbtrs(

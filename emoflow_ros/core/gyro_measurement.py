@@ -109,6 +109,11 @@ class GyroMeasurement:
         covariance: Array = self.covariances[0] + 0.25 * self.covariances[2]
         return covariance
 
+    def control_points(self) -> Array:
+        """Control points (4, 3), rad/s, of the cubic spline (camera_motion.basis) that is w(s)."""
+        a = np.arange(-1.0, 3.0)[:, None]  # Greville abscissae; p(a) - p''(a) / 6 for a cubic p
+        return np.hstack([np.ones_like(a), 2 * a - 1, 6 * a * (a - 1) - 1]) @ self.coefficients
+
     def at(self, s: float) -> Array:
         """Angular velocity (3,) at s in [0, 1] of the interval, rad/s."""
         w: Array = np.array([1.0, 2 * s - 1, 6 * s * (s - 1) + 1]) @ self.coefficients

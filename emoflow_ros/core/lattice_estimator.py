@@ -137,7 +137,7 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         self._check.keep(result, fit.flow, apart)
-        return with_gyro(result, measurement, self.config.max_doubt)
+        return with_gyro(result, measurement, self.config)
 
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""

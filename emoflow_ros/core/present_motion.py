@@ -35,6 +35,7 @@ _SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
 _STEPS = 2
 _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
 _GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
+_GYRO_FRESH_NS = 20 * NS_PER_MS  # of the newest reading, where the gyro alone tells the motion
 _EXPECTED_DRIFT = 0.5  # of the configured one: what most recordings show
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
@@ -97,8 +98,8 @@ class PresentMotion:
                 window shorter, only so much of it is used.
 
         Returns:
-            None without an estimate of the last 300 ms to start from, with too few events, or with
-            neither a scene nor a gyro.
+            None without an estimate of the last 300 ms to start from, and with too few events or,
+            after a doubtful flow, without fresh readings of the gyro.
         """
         scene = self._scene
         if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:
@@ -118,7 +119,7 @@ class PresentMotion:
         if scene.known is not None:
             if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
                 return None
-        elif turned is None:
+        elif turned is None or not _is_fresh(window.gyro, window.t_end):
             return None
         now = self._turned(scene, window.t_end, window.gyro)
         if turned is not None and now is not None:
@@ -182,6 +183,14 @@ def _drift_by(configured: float, change: Array, seconds: float) -> float:
     """
     expected = _EXPECTED_DRIFT**2 * configured
     return 0.5 * (expected + float(change @ change) / (3 * seconds))
+
+
+def _is_fresh(gyro: GyroReadings | None, t: int) -> bool:
+    """Tell whether a gyro's readings reach a time, ns, and change before it."""
+    if gyro is None:
+        return False
+    last = gyro.covering(t - _GYRO_FRESH_NS, t, 0)
+    return len(last) > 1 and bool((last.w != last.w[0]).any())
 
 
 def _measured(gyro: GyroReadings | None, t: int) -> Array | None:

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import Belief, KnownRotation
+from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera_motion import SplineMotion, basis
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_S, Window
-from emoflow_ros.core.gyro_checks import GyroStatus
+from emoflow_ros.core.events import Window
+from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -174,28 +174,27 @@ class EstimateReader:
 
 
 def with_gyro(
-    estimate: Estimate, measurement: GyroMeasurement | None, max_doubt: float
+    estimate: Estimate, measurement: GyroMeasurement | None, config: LatticeConfig
 ) -> Estimate:
     """Let a gyro tell w, and the events v, unless the flow is too doubtful for that.
 
     What the events know of w is in the gyro's bias by then: counted again in every window they
-    would make w too sure, and no better.
+    would make w too sure, and no better. A camera that is known not to turn needs no gyro.
 
     Args:
         estimate: of a window.
         measurement: of the gyro over the window; None without one.
-        max_doubt: see LatticeConfig.
+        config: of the estimator.
     """
-    if measurement is None:
+    used = estimate.gyro.state is GyroState.USED  # the events may just have refuted it
+    if measurement is None or not used or config.model == MotionModel.TRANSLATION:
         return estimate
-    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
-    known = KnownRotation.measured(measurement, seconds)
-    points = (known.control_points() + known.bend) / seconds
     covariance = estimate.covariance.copy()
     covariance[3:, 3:] = measurement.middle_covariance
-    found = replace(estimate, angular=measurement.middle, covariance=covariance)
+    points = measurement.control_points()
     travel = np.zeros_like(points)
-    if estimate.quality.doubt > _UNKNOWN_TRAVEL * max_doubt:
+    found = replace(estimate, angular=measurement.middle, covariance=covariance)
+    if config.model == "auto" and estimate.quality.doubt > _UNKNOWN_TRAVEL * config.max_doubt:
         found = replace(
             found,
             model=MotionModel.ROTATION,

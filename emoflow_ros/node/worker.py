@@ -158,7 +158,7 @@ class _Worker:
             np.isfinite(value).all() for value in values.values()
         ):
             self._estimator.reset()
-            estimate = replace(estimate, status=Status.DIVERGED)
+            estimate = replace(estimate, status=Status.DIVERGED, flow=None, motion=None)
             answer, values = pack(estimate)
         self._last = estimate, window.gyro
         if estimate.status is not Status.OK:

@@ -167,6 +167,29 @@ def test_after_a_doubtful_flow_the_gyro_alone_carries_the_motion_on() -> None:
     of_v = np.trace(found.covariance[:3, :3])
     assert of_v > np.trace(estimate.covariance[:3, :3])
     assert present.estimate(its.slice(t)) is None
+    late = with_gyro(its.slice(t), its, bias)
+    assert late.gyro is not None
+    before = late.gyro.t < t - 25 * NS_PER_MS
+    stale = GyroReadings(late.gyro.t[before], late.gyro.w[before])
+    assert present.estimate(replace(late, gyro=stale)) is None
+    frozen = GyroReadings(late.gyro.t, np.ones_like(late.gyro.w))
+    assert present.estimate(replace(late, gyro=frozen)) is None
+
+
+def test_with_a_gyro_a_doubtful_window_still_tells_w() -> None:
+    its = run("calm")
+    no_bias = {"imu.use": "auto", "imu.bias_deg_s": 2.0, "estimator.max_doubt": 1e-6}
+    config = load_config(overrides=no_bias)
+    estimator = make_estimator(its.recording.camera, config)
+    windows = WindowSlicer(config.window).push(its.recording.events)
+    for k, window in enumerate(windows[:3]):
+        found = estimator.estimate(with_gyro(window, its, np.zeros(3)))
+        assert (found.status, found.flow) == (Status.OK, None)
+        assert not found.translation_observable
+        assert degrees(found.angular - its.angular(found.t)) < (0.2 if k == 0 else 1.5)
+        if k == 0:  # all that is known of the bias is how large it may be
+            sigma = np.degrees(np.sqrt(np.diag(found.covariance)[3:]))
+            np.testing.assert_allclose(sigma, 2.0, atol=0.1)
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])

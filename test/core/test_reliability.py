@@ -10,6 +10,7 @@ from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.gyro_checks import GyroFault, GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.reading import with_gyro
 from emoflow_ros.core.uncertainty import Disagreement
 
@@ -113,27 +114,44 @@ def test_with_a_gyro_only_the_flow_is_withheld():
     np.testing.assert_array_equal(unsure.covariance, np.eye(6))
 
 
-def test_a_gyro_tells_w_and_a_flow_that_is_not_too_doubtful_v():
-    """w(s) = c0 + c1 (2s - 1) + c2 (6s^2 - 6s + 1): in the middle c0 - c2 / 2."""
-    coefficients = np.array([[0.5, -0.2, 0.1], [0.1, 0.0, -0.3], [0.02, 0.04, 0.0]])
-    covariances = np.stack([np.diag([4.0, 5.0, 6.0]), np.eye(3), 4 * np.eye(3)]) * 1e-4
-    end = 100_000_000
-    measurement = GyroMeasurement(0, end, coefficients, covariances)
-    window = Window(0, end, Events.empty())
-    doubtful, wrong = (Scripted(doubt).estimate(window) for doubt in (0.2, 0.21))
-    assert with_gyro(wrong, None, 0.1) is wrong
-    for estimate, travels in ((doubtful, True), (wrong, False)):
-        found = with_gyro(estimate, measurement, 0.1)
-        assert found.status is Status.OK and found.translation_observable == travels
-        np.testing.assert_allclose(found.angular, [0.49, -0.22, 0.1])
-        np.testing.assert_allclose(found.covariance[3:, 3:], np.diag([5.0, 6.0, 7.0]) * 1e-4)
-        np.testing.assert_array_equal(found.linear, float(travels))
-        assert found.covariance[0, 0] == (1 if travels else -1)
-        assert found.motion is not None
-        for t in (0, end // 2, end):
-            expected = [0.49, -0.22, 0.1] + (2 * t / end - 1) * coefficients[1]
-            np.testing.assert_allclose(found.motion.angular(t), expected, atol=1e-12)
-            np.testing.assert_allclose(found.motion.linear(t), travels * 3**-0.5)
+USED = GyroStatus(GyroState.USED)
+END = 100_000_000
+# w(s) = c0 + c1 (2s - 1) + c2 (6s^2 - 6s + 1): in the middle c0 - c2 / 2.
+COEFFICIENTS = np.array([[0.5, -0.2, 0.1], [0.1, 0.0, -0.3], [0.02, 0.04, 0.0]])
+COVARIANCES = np.stack([np.diag([4.0, 5.0, 6.0]), np.eye(3), 4 * np.eye(3)]) * 1e-4
+MEASUREMENT = GyroMeasurement(0, END, COEFFICIENTS, COVARIANCES)
+
+
+def estimate_of(doubt: float, gyro: GyroStatus = USED) -> Estimate:
+    return Scripted(doubt, gyro=gyro).estimate(Window(0, END, Events.empty()))
+
+
+@pytest.mark.parametrize(("doubt", "model", "travels"), [
+    (0.2, "auto", True), (0.21, "auto", False), (0.21, "full", True),
+])  # fmt: skip
+def test_a_gyro_tells_w_and_a_flow_that_is_not_too_doubtful_v(doubt, model, travels):
+    config = LatticeConfig(max_doubt=0.1, model=model)
+    found = with_gyro(estimate_of(doubt), MEASUREMENT, config)
+    assert found.status is Status.OK and found.translation_observable == travels
+    np.testing.assert_allclose(found.angular, [0.49, -0.22, 0.1])
+    np.testing.assert_allclose(found.covariance[3:, 3:], np.diag([5.0, 6.0, 7.0]) * 1e-4)
+    np.testing.assert_array_equal(found.linear, float(travels))
+    assert found.covariance[0, 0] == (1 if travels else -1)
+    assert found.motion is not None
+    for s in (0.0, 0.3, 0.5, 1.0):
+        t = round(s * END)
+        np.testing.assert_allclose(found.motion.angular(t), MEASUREMENT.at(s), atol=1e-9)
+        np.testing.assert_allclose(found.motion.linear(t), travels * 3**-0.5)
+
+
+def test_without_a_gyro_that_is_used_the_events_tell_w():
+    config = LatticeConfig(max_doubt=0.1)
+    refuted = estimate_of(0.3, GyroStatus(GyroState.REJECTED, GyroFault.DISAGREES))
+    assert with_gyro(refuted, MEASUREMENT, config) is refuted
+    alone = estimate_of(0.3)
+    assert with_gyro(alone, None, config) is alone
+    straight = LatticeConfig(max_doubt=0.1, model="translation")
+    assert with_gyro(alone, MEASUREMENT, straight) is alone
 
 
 def test_a_rejected_gyro_vouches_for_nothing():

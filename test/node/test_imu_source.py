@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events, Window, WindowSlicer
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack, unpack
 from emoflow_ros.node.diagnostics import Level
@@ -184,6 +186,9 @@ def test_the_gyros_status_crosses_the_channel() -> None:
     result = unpack(task, *pack(estimate))
     assert result.estimate.gyro == status
     assert not result.has_flow
+    lattice = Lattice(20, 20, 2, 2, 2)
+    flow = LatticeFlow(lattice, np.zeros(lattice.shape, np.float32), 0, 1)
+    assert unpack(task, *pack(replace(estimate, flow=flow))).has_flow
 
 
 def test_the_node_gives_windows_the_readings_that_they_have_offline(monkeypatch) -> None:

@@ -148,6 +148,7 @@ def slow_figures(windows: Windows) -> dict[str, float]:
         "still": still,
         "covered_moving": 100 * covered / moving,
         "covered_still": 100 * covered_still / still,
+        "flow_moving": 100 * lost_of / moving,
         "epe_px": sum(epe) / len(epe),
         "truth_px": sum(way) / len(way),
         "epe_percent": 100 * sum(epe) / sum(way),
