@@ -99,7 +99,7 @@ class PresentMotion:
 
         Returns:
             None without an estimate of the last 300 ms to start from, and with too few events or,
-            after a doubtful flow, without fresh readings of the gyro.
+            after a doubtful flow, without readings of the gyro from the last 20 ms.
         """
         scene = self._scene
         if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:
