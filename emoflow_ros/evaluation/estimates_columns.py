@@ -50,6 +50,7 @@ QUALITY = {
     "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
     "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
     "inlier_fraction": Column((), "f8", "1", "share of the residuals within 3 robust scales"),
+    "doubt": Column((), "f8", "1", "probability that the flow or, without a gyro, w or v is wrong"),
     "warm": Column((), "?", "", "whether the window before was the start"),
     "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
 }
@@ -98,6 +99,7 @@ def quality_values(
         "contrast_gain": quality.contrast_gain,
         "residual_px": quality.residual_px,
         "inlier_fraction": quality.inlier_fraction,
+        "doubt": quality.doubt,
         "warm": quality.warm,
         "runtime_s": quality.runtime_s,
     }
@@ -112,7 +114,7 @@ def track_columns(points: int) -> dict[str, Column]:
             "f4",
             "px",
             "positions (x, y) of the tracked points at track_times_ns; NaN from where a point "
-            "leaves the image on, and unless status is ok",
+            "leaves the image on, and where there is no flow",
             rows,
         ),
         "track_times_ns": Column((INSTANTS,), "i8", "ns", "times of the tracks' positions", rows),
@@ -132,7 +134,7 @@ def flow_column(camera: Camera) -> Column:
         (camera.height, camera.width, 2),
         "f2",
         "px",
-        "displacement (u right, v down) over the window of the pixels of t_start; NaN unless "
-        "status is ok",
+        "displacement (u right, v down) over the window of the pixels of t_start; NaN where "
+        "there is no flow",
         chunk=1,
     )
