@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera_motion import CONTROL_POINTS
+from emoflow_ros.core.camera_motion import CONTROL_POINTS, GREVILLE
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
@@ -26,7 +26,6 @@ _FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many win
 _MAX_APPROACH = 0.2  # depths per window
 
 _MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24  # of the spline over the window, by control points
-_GREVILLE = np.arange(CONTROL_POINTS) - 1.0  # control points there make a spline a straight line
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,7 @@ class KnownRotation:
 
     def control_points(self) -> Array:
         """Build the control points (4, 3) of mean and slope."""
-        return self.mean + np.outer(2 * _GREVILLE - 1, self.slope)
+        return self.mean + np.outer(2 * GREVILLE - 1, self.slope)
 
     def add_to(self, w: Array, corner: Array, corner_vector: Array) -> None:
         """Add it to normal equations.

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 CONTROL_POINTS = 4
+GREVILLE = np.arange(CONTROL_POINTS) - 1.0  # control points there make a spline a straight line
 
 
 def motion_matrices(bearings: Array) -> tuple[Array, Array]:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.camera_motion import GREVILLE
+
 Array = NDArray[np.float64]
 
 # Further from a reading than this the angular velocity is not known, ns.
@@ -111,7 +113,7 @@ class GyroMeasurement:
 
     def control_points(self) -> Array:
         """Control points (4, 3), rad/s, of the cubic spline (camera_motion.basis) that is w(s)."""
-        a = np.arange(-1.0, 3.0)[:, None]  # Greville abscissae; p(a) - p''(a) / 6 for a cubic p
+        a = GREVILLE[:, None]  # p(a) - p''(a) / 6 for a polynomial p
         return np.hstack([np.ones_like(a), 2 * a - 1, 6 * a * (a - 1) - 1]) @ self.coefficients
 
     def at(self, s: float) -> Array:

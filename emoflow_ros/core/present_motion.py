@@ -17,7 +17,7 @@ from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Status, Twist
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
 from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.lattice import Lattice
@@ -35,7 +35,9 @@ _SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
 _STEPS = 2
 _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
 _GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
-_GYRO_FRESH_NS = 20 * NS_PER_MS  # of the newest reading, where the gyro alone tells the motion
+_GYRO_FRESH_NS = (
+    20 * NS_PER_MS
+)  # age of the newest reading, at most, where the gyro alone tells the motion
 _EXPECTED_DRIFT = 0.5  # of the configured one: what most recordings show
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
@@ -119,7 +121,7 @@ class PresentMotion:
         if scene.known is not None:
             if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
                 return None
-        elif turned is None or not _is_fresh(window.gyro, window.t_end):
+        elif turned is None or not _carries(window):
             return None
         now = self._turned(scene, window.t_end, window.gyro)
         if turned is not None and now is not None:
@@ -185,12 +187,15 @@ def _drift_by(configured: float, change: Array, seconds: float) -> float:
     return 0.5 * (expected + float(change @ change) / (3 * seconds))
 
 
-def _is_fresh(gyro: GyroReadings | None, t: int) -> bool:
-    """Tell whether a gyro's readings reach a time, ns, and change before it."""
-    if gyro is None:
+def _carries(window: Window) -> bool:
+    """Tell whether a slice's gyro can carry the motion on alone: read lately, and not frozen."""
+    if window.gyro is None:
         return False
-    last = gyro.covering(t - _GYRO_FRESH_NS, t, 0)
-    return len(last) > 1 and bool((last.w != last.w[0]).any())
+    readings = window.gyro.covering(window.t_start, window.t_end, 0)
+    watch = FreezeWatch()
+    watch.take(readings)
+    late = not len(readings) or window.t_end - int(readings.t[-1]) > _GYRO_FRESH_NS
+    return not late and watch.until is None
 
 
 def _measured(gyro: GyroReadings | None, t: int) -> Array | None:

@@ -178,8 +178,8 @@ def test_after_a_doubtful_flow_the_gyro_alone_carries_the_motion_on() -> None:
 
 def test_with_a_gyro_a_doubtful_window_still_tells_w() -> None:
     its = run("calm")
-    no_bias = {"imu.use": "auto", "imu.bias_deg_s": 2.0, "estimator.max_doubt": 1e-6}
-    config = load_config(overrides=no_bias)
+    options = {"imu.use": "auto", "imu.bias_deg_s": 2.0, "estimator.max_doubt": 1e-6}
+    config = load_config(overrides=options)
     estimator = make_estimator(its.recording.camera, config)
     windows = WindowSlicer(config.window).push(its.recording.events)
     for k, window in enumerate(windows[:3]):

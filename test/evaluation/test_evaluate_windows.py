@@ -57,7 +57,9 @@ def test_help_says_which_windows_come_of_it(parse, capsys):
     assert "default: the length given with --window-ms, else the profile's stride" in text
 
 
-MISSED = pytest.mark.xfail(reason="4.001 degrees of 4; the axis is claimed to about 4 degrees")
+MISSED = pytest.mark.xfail(
+    raises=AssertionError, strict=True, reason="4.001 degrees of 4; claimed to about 4 degrees"
+)
 
 
 @pytest.mark.parametrize(("name", "window_ms"), [
