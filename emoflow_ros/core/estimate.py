@@ -23,7 +23,7 @@ class Status(StrEnum):
 
     OK = "ok"
     TOO_FEW_EVENTS = "too_few_events"
-    NO_MOTION = "no_motion"  # a static camera: events do not move together
+    NO_MOTION = "no_motion"  # the events do not move together, as with a camera at rest
     UNCERTAIN = "uncertain"  # an estimate that is too likely wrong
     DIVERGED = "diverged"
 
@@ -121,8 +121,8 @@ class Estimate:
         angular: (3,) rad/s in the camera's optical frame.
         covariance: (6, 6) of (linear, angular), the order of ROS twists; [0, 0] is -1
             where translation is not observable (REP-145's idiom).
-        flow: the flow field; None unless the status is OK. With a gyro it is None in an estimate
-            whose flow is doubtful, too (core.doubt).
+        flow: the flow field; None unless the status is OK. With a gyro it is None, too, where it is
+            doubtful (core.doubt) and where the events gave nothing.
         motion: the egomotion over the window; None unless the status is OK.
         quality: the record behind the status.
         gyro: whether a gyro took part.
@@ -140,6 +140,13 @@ class Estimate:
     flow: FlowSampler | None = None
     motion: Motion | None = None
     gyro: GyroStatus = field(default_factory=GyroStatus)
+
+    @property
+    def by_events(self) -> Status:
+        """What the events gave: `status`, unless the gyro alone tells the motion (status OK)."""
+        reasons = {str(status) for status in Status}
+        reason = self.quality.stop_reason
+        return Status(reason) if reason in reasons else self.status
 
     @property
     def translation_observable(self) -> bool:

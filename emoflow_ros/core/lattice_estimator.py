@@ -17,13 +17,14 @@ from emoflow_ros.core.contrast import (
     ContrastFactory,
     WindowEvents,
     best_constant_flow,
-)
+)  # fmt: skip
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.explanations import temperature
 from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
@@ -90,21 +91,20 @@ class LatticeEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
+        measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
         with self._threads.limit(limits=1, user_api="blas"):
-            return self._estimate(window)
+            return with_gyro(self._estimate(window, measurement), measurement, self.config)
 
-    def _estimate(self, window: Window) -> Estimate:
+    def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
         self._started = time.perf_counter()
         self._iterations = 0
         events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
-        measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
-        fit = self._fit
+        fit, last = self._fit, self._last
         fit.known = None
         if measurement is not None:
             fit.known = KnownRotation.measured(measurement, window.duration)
-        last = self._last
         warm = last is not None and last.reaches(window)
         coarse = fit.contrasts[0.25]
         self._check.begin(window, events)
@@ -137,7 +137,7 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         self._check.keep(result, fit.flow, apart)
-        return with_gyro(result, measurement, self.config)
+        return result
 
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""

@@ -179,10 +179,11 @@ def with_gyro(
     """Let a gyro tell w, and the events v, unless the flow is too doubtful for that.
 
     What the events know of w is in the gyro's bias by then: counted again in every window they
-    would make w too sure, and no better. A camera that is known not to turn needs no gyro.
+    would make w too sure, and no better. Where the events give nothing, the gyro alone tells w. A
+    camera that is known not to turn needs no gyro.
 
     Args:
-        estimate: of a window.
+        estimate: of a window, by its events.
         measurement: of the gyro over the window; None without one.
         config: of the estimator.
     """
@@ -193,8 +194,10 @@ def with_gyro(
     covariance[3:, 3:] = measurement.middle_covariance
     points = measurement.control_points()
     travel = np.zeros_like(points)
-    found = replace(estimate, angular=measurement.middle, covariance=covariance)
-    if config.model == "auto" and estimate.quality.doubt > _UNKNOWN_TRAVEL * config.max_doubt:
+    doubtful = estimate.quality.doubt > _UNKNOWN_TRAVEL * config.max_doubt
+    nothing = estimate.status is not Status.OK
+    found = replace(estimate, status=Status.OK, angular=measurement.middle, covariance=covariance)
+    if nothing or (config.model == "auto" and doubtful):
         found = replace(
             found,
             model=MotionModel.ROTATION,

@@ -46,7 +46,9 @@ QUALITY = {
     "window_events": Column((), "i8", "1", "all events of the window, from t_start to t_end"),
     "events": Column((), "i8", "1", "events of the window that were used"),
     "iterations": Column((), "i8", "1", "steps of the optimiser"),
-    "stop_reason": Column((), TEXT, "", "converged, iterations, deadline or the status"),
+    "stop_reason": Column(
+        (), TEXT, "", "converged, iterations, deadline, or why the events gave nothing"
+    ),
     "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
     "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
     "inlier_fraction": Column((), "f8", "1", "share of the residuals within 3 robust scales"),

@@ -104,8 +104,8 @@ class Statistics:
         self._last_message = self._clock()
 
     def add_result(self, result: Result) -> None:
-        """Count an estimate, usable or not, and its latency since the window was complete."""
-        self.counts[f"windows_{result.estimate.status}"] += 1
+        """Count a window by what its events gave, and the latency since it was complete."""
+        self.counts[f"windows_{result.estimate.by_events}"] += 1
         self._latencies.append(self._clock() - result.task.received)
         self._last_result = result
 

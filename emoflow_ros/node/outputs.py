@@ -174,7 +174,7 @@ def judge_result(
         "runtime_ms": f"{1e3 * quality.runtime_s:.1f}",
     }
     common = _window_values(result.stamp, now, str(estimate.status), quality.events)
-    level = max(_LEVELS[estimate.status], Level.WARN if problems else Level.OK)
+    level = max(_LEVELS[estimate.by_events], Level.WARN if problems else Level.OK)
     return Report(level, "; ".join([_estimate_message(result), *problems]), common | values)
 
 
@@ -238,7 +238,9 @@ def _estimate_message(result: Result) -> str:
     words = [str(estimate.status)]
     if estimate.status is Status.OK and not estimate.translation_observable:
         words.append("translation not observable")
-    if estimate.status is Status.OK and not result.has_flow:
+    if estimate.by_events is not estimate.status:
+        words.append(f"by the gyro alone: {estimate.by_events}")
+    elif estimate.status is Status.OK and not result.has_flow:
         words.append("flow withheld")
     return ", ".join(words)
 

@@ -1,5 +1,7 @@
 """Estimates that the events do not carry are withheld."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -152,6 +154,23 @@ def test_without_a_gyro_that_is_used_the_events_tell_w():
     assert with_gyro(alone, None, config) is alone
     straight = LatticeConfig(max_doubt=0.1, model="translation")
     assert with_gyro(alone, MEASUREMENT, straight) is alone
+
+
+@pytest.mark.parametrize("status", [Status.NO_MOTION, Status.TOO_FEW_EVENTS, Status.DIVERGED])
+@pytest.mark.parametrize("model", ["auto", "full"])
+def test_where_the_events_give_nothing_the_gyro_alone_tells_w(status, model):
+    nothing = Estimate(0, END, END // 2, status, Quality(7, stop_reason=str(status)), gyro=USED)
+    found = with_gyro(nothing, MEASUREMENT, LatticeConfig(model=model))
+    assert (found.status, found.by_events) == (Status.OK, status)
+    assert found.model is MotionModel.ROTATION and not found.translation_observable
+    np.testing.assert_allclose(found.angular, [0.49, -0.22, 0.1])
+    np.testing.assert_allclose(found.covariance[3:, 3:], np.diag([5.0, 6.0, 7.0]) * 1e-4)
+    assert found.covariance[0, 0] == -1 and found.flow is None
+    assert found.motion is not None
+    np.testing.assert_allclose(found.motion.angular(END // 4), MEASUREMENT.at(0.25), atol=1e-9)
+    np.testing.assert_array_equal(found.motion.linear(END // 4), 0)
+    rejected = replace(nothing, gyro=GyroStatus(GyroState.REJECTED, GyroFault.DISAGREES))
+    assert with_gyro(rejected, MEASUREMENT, LatticeConfig(model=model)) is rejected
 
 
 def test_a_rejected_gyro_vouches_for_nothing():

@@ -8,6 +8,7 @@ import pytest
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.simulation.recording import simulate
@@ -47,6 +48,24 @@ def test_too_few_events(count):
     estimate = LatticeEstimator(CAMERA, CONFIG).estimate(noise(count))
     assert estimate.status is Status.TOO_FEW_EVENTS
     assert_says_nothing(estimate)
+
+
+@pytest.mark.parametrize(("count", "reason"), [
+    (30_000, Status.NO_MOTION), (CONFIG.min_events - 1, Status.TOO_FEW_EVENTS),
+])  # fmt: skip
+def test_with_a_gyro_its_rotation_is_known_all_the_same(count, reason):
+    w = np.array([0.3, -0.1, 0.5])
+    t = START + np.arange(-5, 96) * NS_PER_MS
+    window = replace(
+        noise(count), gyro=GyroReadings(t, np.tile(w, (len(t), 1)) + 1e-4 * (t % 3)[:, None])
+    )
+    estimate = LatticeEstimator(CAMERA, CONFIG).estimate(window)
+    assert (estimate.status, estimate.by_events) == (Status.OK, reason)
+    assert estimate.model is MotionModel.ROTATION and estimate.flow is None
+    np.testing.assert_allclose(estimate.angular, w, atol=2e-4)
+    # A bias of 1 deg/s that nothing has taught yet.
+    spread = np.degrees(np.sqrt(np.diag(estimate.covariance)[3:]))
+    assert (spread > 1.0).all() and (spread < 1.2).all()
 
 
 def test_a_burst_and_a_few_pixels_are_too_little():

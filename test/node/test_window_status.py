@@ -68,6 +68,21 @@ def test_a_flow_that_is_withheld_is_named(task: Task) -> None:
     assert report.values["flow"] == "false"
 
 
+@pytest.mark.parametrize(("reason", "level"), [
+    (Status.NO_MOTION, Level.WARN), (Status.DIVERGED, Level.ERROR),
+])  # fmt: skip
+def test_a_twist_by_the_gyro_alone_says_what_the_events_gave(
+    task: Task, reason: Status, level: Level
+) -> None:
+    result = answer(task, Status.OK, MotionModel.ROTATION)
+    quality = replace(result.estimate.quality, stop_reason=str(reason))
+    result = replace(result, estimate=replace(result.estimate, quality=quality), has_flow=False)
+    report = judge_result(result, now=0)
+    words = f"ok, translation not observable, by the gyro alone: {reason}"
+    assert (report.level, report.message) == (level, words)
+    assert report.values["status"] == "ok"
+
+
 def test_twist_that_is_not_what_was_asked_for_warns(task: Task) -> None:
     problems = ["nobody publishes /odom; linear is a unit direction", "no transform"]
     report = judge_result(answer(task, Status.OK), 0, "none", problems)
