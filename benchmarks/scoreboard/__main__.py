@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.scoreboard.compare import compare, describe, read_run
-from benchmarks.scoreboard.random_subjects import random_subjects
 from benchmarks.scoreboard.report import write_report
 from benchmarks.scoreboard.run import measure_all, save_windows
+from benchmarks.scoreboard.simulated_subjects import random_subjects
 from benchmarks.scoreboard.subjects import SHARED_DATA, Subject, shared_subjects
 from benchmarks.scoreboard.summary import summarise
 from benchmarks.scoreboard.table import table

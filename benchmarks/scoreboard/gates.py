@@ -17,8 +17,7 @@ import yaml
 
 from benchmarks.scoreboard.figures import Figures, figures_of
 from benchmarks.scoreboard.observe import observe
-from benchmarks.scoreboard.random_subjects import RandomSubject
-from benchmarks.scoreboard.scene_subjects import SceneSubject
+from benchmarks.scoreboard.simulated_subjects import RandomSubject, SceneSubject
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros import __version__
 from emoflow_ros.cli import run

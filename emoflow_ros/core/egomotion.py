@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from emoflow_ros.core import constraints
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis, motion_matrices
-from emoflow_ros.core.explanations import Explanations
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.uncertainty import Explanations
 
 Array = NDArray[np.float64]
 

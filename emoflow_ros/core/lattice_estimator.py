@@ -22,7 +22,6 @@ from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.explanations import temperature
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
@@ -34,7 +33,7 @@ from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
 from emoflow_ros.core.second_look import best_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions
+from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperature
 
 Array = NDArray[np.float64]
 

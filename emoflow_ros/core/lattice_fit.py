@@ -17,10 +17,10 @@ from emoflow_ros.core.egomotion import (
     Rotation,
 )
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.explanations import trusted
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.uncertainty import trusted
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Estimate, Estimator
-from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.core.events import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.metrics import ComparedTracks, TrackComparer

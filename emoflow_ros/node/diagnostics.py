@@ -10,8 +10,8 @@ from enum import IntEnum
 import numpy as np
 import psutil
 
+from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 _LATENCIES_KEPT = 200

@@ -8,8 +8,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import NS_PER_S, Events, Window
 from emoflow_ros.core.thinning import EventBudget
-from emoflow_ros.node.backlog import LeftOut, is_jump
 from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.event_feed import LeftOut, is_jump
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 

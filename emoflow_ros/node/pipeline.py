@@ -13,8 +13,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.event_feed import LeftOut
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource

@@ -14,9 +14,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.channel import unpack
+from emoflow_ros.node.channel import pack_window, unpack
 from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Job, Loss, Notice, Outcome, Task
-from emoflow_ros.node.window_transfer import to_arrays
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
 from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess
 
@@ -173,7 +172,7 @@ class Supervisor:
         task, window = job.task, job.task.window
         cold = task.epoch != self._epoch
         self._epoch = task.epoch
-        interval, columns = to_arrays(window)
+        interval, columns = pack_window(window)
         header, arrays = self._request(
             {"kind": "window", **interval, "cold": cold, "wishes": asdict(job.wishes)}, columns
         )

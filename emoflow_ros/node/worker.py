@@ -32,9 +32,8 @@ from emoflow_ros.core.products import (
     trails_at_unit_depth,
 )
 from emoflow_ros.errors import InputError, keep_traceback
-from emoflow_ros.node.channel import Channel, pack, pack_present
+from emoflow_ros.node.channel import Channel, pack, pack_present, unpack_window
 from emoflow_ros.node.tasks import Arrays, Picture, Wishes
-from emoflow_ros.node.window_transfer import from_arrays
 
 if TYPE_CHECKING:
     from emoflow_ros.core.present_motion import PresentMotion
@@ -117,7 +116,7 @@ class _Worker:
             if last is not self._known:
                 present.know(*last)
                 self._known = last
-            return pack_present(present.estimate(from_arrays(header, arrays)))
+            return pack_present(present.estimate(unpack_window(header, arrays)))
         except Exception as error:
             return _describe(error), {}
 
@@ -151,7 +150,7 @@ class _Worker:
             return {"error": "a window before the configuration"}, {}
         if header["cold"]:
             self._estimator.reset()
-        window = from_arrays(header, arrays)
+        window = unpack_window(header, arrays)
         estimate = self._estimator.estimate(window)
         answer, values = pack(estimate)
         if estimate.status is Status.OK and not all(

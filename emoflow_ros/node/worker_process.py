@@ -7,9 +7,8 @@ from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerContext
 from typing import Any
 
-from emoflow_ros.node.channel import Channel, unpack_present
+from emoflow_ros.node.channel import Channel, pack_window, unpack_present
 from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Loss, Present, Task
-from emoflow_ros.node.window_transfer import to_arrays
 from emoflow_ros.node.worker import serve
 
 _IDLE_S = 0.1
@@ -174,7 +173,7 @@ class SliceFeed:
                     self._tell(outcome)
 
     def _estimate(self, worker: WorkerProcess, task: Task) -> Present | Loss | None:
-        request = to_arrays(task.window)
+        request = pack_window(task.window)
         header, arrays = worker.estimate_slice(*request, self._timeout_s)
         if "error" in header:
             return Loss(f"a slice failed: {header['error']}", worker=False)

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.bounded_windows import BoundedSlicer, BoundedWindows
+from emoflow_ros.core.bounded_windows import BoundedSlicer, BoundedWindows, DistinctEvents
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.event_count import DistinctEvents
 from emoflow_ros.core.events import Events, TimeJumpError, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.thinning import EventBudget
 

@@ -10,11 +10,16 @@ from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import Contrast, WindowEvents
 from emoflow_ros.core.cross_check import CrossCheck
-from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes
+from emoflow_ros.core.earlier_scene import (
+    EarlierScene,
+    EarlierScenes,
+    KnownScene,
+    inverse_depths,
+    motion_covariance,
+)
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations

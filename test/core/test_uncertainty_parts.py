@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.explanations import Explanations, temperature, trusted
-from emoflow_ros.core.uncertainty import Claims, Disagreement, PossibleMotions, without_travel
+from emoflow_ros.core.uncertainty import (
+    Claims,
+    Disagreement,
+    Explanations,
+    PossibleMotions,
+    temperature,
+    trusted,
+    without_travel,
+)
 
 W = np.array([0.02, -0.05, 0.03])  # rad per window
 V = np.array([0.6, 0.0, 0.8])

@@ -13,10 +13,9 @@ from graph import Graph
 from headers import MS, message
 from ros_nodes import ros_context
 
-from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.estimator_node import spin_until_asked
-from emoflow_ros.node.event_feed import EventFeed
+from emoflow_ros.node.event_feed import EventFeed, LeftOut
 
 LENGTH_NS = 20 * MS
 

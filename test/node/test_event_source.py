@@ -10,8 +10,8 @@ pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_
 from graph import DVS, Graph
 from headers import message
 
-from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.event_feed import LeftOut
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.topic_search import SETTLING_S, EventTopic, TopicSearch
 

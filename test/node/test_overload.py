@@ -24,11 +24,11 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.node.channel import pack_window
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Job, Result
 from emoflow_ros.node.topic_search import EventTopic
-from emoflow_ros.node.window_transfer import to_arrays
 from emoflow_ros.simulation.messages import MessageEncoder
 
 MS = 1_000_000
@@ -168,7 +168,7 @@ def test_more_events_than_are_used_are_counted_as_they_came_and_do_not_cross(mon
         events = job.task.window.events
         assert events.came == DURATION_MS * 400
         assert len(events) <= budget.capacity < 2400
-        _, arrays = to_arrays(job.task.window)
+        _, arrays = pack_window(job.task.window)
         assert sum(array.nbytes for array in arrays.values()) <= 11 * budget.capacity
     of_dropped = counts["events_dropped"]
     assert of_dropped % (STRIDE_MS * 400) == 0

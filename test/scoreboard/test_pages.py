@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scoreboard_tables import random_table, row
 
-from benchmarks.scoreboard import random_subjects, report
+from benchmarks.scoreboard import report, simulated_subjects
 from benchmarks.scoreboard.__main__ import _seeds
 from benchmarks.scoreboard.figures import figures_of
 from benchmarks.scoreboard.picture import event_picture
-from benchmarks.scoreboard.random_subjects import RandomSubject
 from benchmarks.scoreboard.run import Outcome, save_windows, severity
+from benchmarks.scoreboard.simulated_subjects import RandomSubject
 from benchmarks.scoreboard.subjects import shared_subjects
 from benchmarks.scoreboard.summary import summarise
 from benchmarks.scoreboard.table import table
@@ -95,15 +95,15 @@ def test_seeds_are_a_range(text):
 
 def test_random_recordings_are_simulated_once(tmp_path, monkeypatch):
     calls = []
-    simulate, draw = random_subjects.simulate_random, random_subjects.draw_factors
+    simulate, draw = simulated_subjects.simulate_random, simulated_subjects.draw_factors
 
     def counted(factors, **options):
         calls.append(factors)
         return simulate(factors, **options)
 
-    monkeypatch.setattr(random_subjects, "simulate_random", counted)
+    monkeypatch.setattr(simulated_subjects, "simulate_random", counted)
     fixed = {"sensor": "240x180", "image_motion": "2", "calibration_error": "0.02"}
-    monkeypatch.setattr(random_subjects, "draw_factors", lambda seed: draw(seed, fixed))
+    monkeypatch.setattr(simulated_subjects, "draw_factors", lambda seed: draw(seed, fixed))
     first, second = (RandomSubject(7, tmp_path, duration_s=0.1).load() for _ in range(2))
     assert len(calls) == 1
     assert len(list(tmp_path.iterdir())) == 1

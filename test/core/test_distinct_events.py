@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.event_count import DistinctEvents
+from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.events import Events, Window, WindowPolicy, WindowSlicer
 
 MS = 1_000_000

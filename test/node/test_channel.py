@@ -9,7 +9,7 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.thinning import EventBudget
-from emoflow_ros.node.window_transfer import from_arrays, to_arrays
+from emoflow_ros.node.channel import pack_window, unpack_window
 
 MS = NS_PER_MS
 START = 1_700_000_000_000_000_123
@@ -40,16 +40,16 @@ def assert_same(one: Events, other: Events) -> None:
 def test_a_window_arrives_as_it_was(offsets, most):
     stands_for = None if most is None else np.full(len(offsets), most, np.uint32)
     sent = window(offsets, stands_for)
-    interval, arrays = to_arrays(sent)
-    got = from_arrays(interval, arrays)
+    interval, arrays = pack_window(sent)
+    got = unpack_window(interval, arrays)
     assert (got.t_start, got.t_end, got.gyro) == (sent.t_start, sent.t_end, None)
     assert_same(got.events, sent.events)
 
 
 def test_the_gyro_goes_with_it():
     readings = GyroReadings(START + np.arange(3) * MS, np.arange(9.0).reshape(3, 3))
-    interval, arrays = to_arrays(window([1, 2], gyro=readings))
-    got = from_arrays(interval, arrays)
+    interval, arrays = pack_window(window([1, 2], gyro=readings))
+    got = unpack_window(interval, arrays)
     assert got.gyro is not None
     np.testing.assert_array_equal(got.gyro.t, readings.t)
     np.testing.assert_array_equal(got.gyro.w, readings.w)
@@ -65,7 +65,7 @@ def test_what_crosses_is_bounded_whatever_comes(rate):
     t = START + np.arange(count) * config.window.duration_ns // count
     x, y = rng.integers(0, (1280, 720), (count, 2)).astype(np.uint16).T
     cut = Window(START, START + config.window.duration_ns, Events(x, y, t, x % 2 == 0))
-    _, arrays = to_arrays(budget.thin(cut))
+    _, arrays = pack_window(budget.thin(cut))
     assert arrays["x"].size <= budget.capacity < 4.2 * config.estimator.max_events
     size = sum(array.nbytes for array in arrays.values())
     assert size <= 11 * budget.capacity < 1.3 * 2**20

@@ -1,4 +1,7 @@
-"""Random recordings by seed, simulated once and kept on disk."""
+"""Recordings of the simulator: short ones of its hand-made scenes, and random ones by seed.
+
+The random ones are simulated once and kept on disk.
+"""
 
 import hashlib
 import json
@@ -21,11 +24,46 @@ from emoflow_ros.simulation.random_recording import (
     random_truth,
     simulate_random,
 )
+from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.truth import Truth
 
 DURATION_S = 3.0
 # Part of the names of cached files. Count on whenever the same factors give other events.
 SIMULATOR_VERSION = 1
+_FPS = 500  # of hand-made scenes
+
+
+@dataclass(frozen=True)
+class SceneSubject:
+    """A scene by name, simulated when it is needed.
+
+    Attributes:
+        scene: a key of `emoflow_ros.simulation.recording.SCENES`.
+        seed: of everything in it.
+        duration_s: length.
+    """
+
+    scene: str
+    seed: int
+    duration_s: float
+    group: str = "scene"
+
+    @property
+    def name(self) -> str:
+        """Group, scene and seed."""
+        return f"{self.group}/{self.scene}-{self.seed}"
+
+    @property
+    def missing(self) -> Path | None:
+        """Nothing: it is simulated."""
+        return None
+
+    def load(self) -> Material:
+        """Simulate it, with 500 images per second."""
+        made = simulate(self.scene, duration_s=self.duration_s, seed=self.seed, fps=_FPS)
+        truth = SimulatedTruth(made.truth)
+        gyro = gyro_of_simulation(made.truth, made.t_start, made.t_end, self.name)
+        return Material(made.events, made.camera, made.camera, Truth(truth, truth), gyro=gyro)
 
 
 @dataclass(frozen=True)
