@@ -53,6 +53,13 @@ def test_locks_of_one_environment_agree() -> None:
     }
 
 
+@pytest.mark.parametrize("name", LOCKS)
+def test_numpy_is_that_of_ubuntu_24_04(name: str) -> None:
+    """Packages of /opt/ros/jazzy are built against it, and fail with NumPy 2."""
+    pins = dict(line.split("==") for line in (ROOT / f"{name}.lock").read_text().splitlines())
+    assert pins["numpy"].split(".")[:2] == ["1", "26"]
+
+
 def test_tests_with_a_limit_need_no_plugin_of_pytest() -> None:
     """`colcon test` runs them with the plugins that there are, perhaps none."""
     marked = [p for p in (ROOT / "test").rglob("test_*.py") if "mark.timeout(" in p.read_text()]

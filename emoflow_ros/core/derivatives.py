@@ -70,7 +70,7 @@ def pull(
             the cell's nodes with time innermost and the column outermost.
     """
     parts, h, w = potentials.shape
-    cells = gradient.shape[:3]
+    cells = (gradient.shape[0], gradient.shape[1], gradient.shape[2])
     pulls = gradient.reshape(-1, 16)
     one, half = np.float32(1), np.float32(0.5)
     shift = np.float32((MARGIN + 0.5) * scale - 0.5)
@@ -134,7 +134,7 @@ def stiffen(
             a >= b, the others are left alone, xx, xy, yy.
     """
     parts, h, w = potentials.shape
-    cells = curvature.shape[:3]
+    cells = (curvature.shape[0], curvature.shape[1], curvature.shape[2])
     blocks = curvature.reshape(-1, 8, 3, 8)
     sums = np.zeros((len(blocks), 3, _LANES), np.float32)
     two, half, quarter = np.float32(2), np.float32(0.5), np.float32(0.25)

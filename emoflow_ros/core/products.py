@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +194,7 @@ def color_circle() -> NDArray[np.float64]:
 _CIRCLE = color_circle()
 
 
-def flow_to_rgb(flow: NDArray[np.floating], longest: float | None = None) -> Image:
+def flow_to_rgb(flow: NDArray[np.floating[Any]], longest: float | None = None) -> Image:
     """Colour a flow image: hue is direction, saturation is length.
 
     Right is red, down is yellow, left is cyan-blue, up is violet; still pixels are white and

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -23,7 +24,7 @@ from emoflow_ros.core.products import Points, Tracker, Tracks, interpolate
 from emoflow_ros.truth import FlowSource, Truth
 
 Vectors = NDArray[np.float64]
-Flow = NDArray[np.floating]
+Flow = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float64]
 Statistic = Callable[[Values], float]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
@@ -97,7 +98,7 @@ class Aedat4Recording(FileRecording):
         raise InputError(self.path, f"damaged AEDAT4 file ({error})", "copy it again") from None
 
 
-def _to_events(packet: np.ndarray) -> Events:
+def _to_events(packet: NDArray[np.void]) -> Events:
     """Convert the structured array (t in us, x, y, on) of a packet."""
     t = packet["t"].astype(np.int64) * 1000
     return Events(packet["x"].copy(), packet["y"].copy(), t, packet["on"].copy())

@@ -78,7 +78,7 @@ def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
 
 def _error_map(
     ax: Axes,
-    error: NDArray[np.floating],
+    error: NDArray[np.floating[Any]],
     moving: NDArray[np.bool_] | None,
 ) -> None:
     known = error[np.isfinite(error)]

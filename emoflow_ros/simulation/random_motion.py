@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.simulation.scene import PITCH, ROLL, YAW, Step, Trajectory, Wave, X, Y, Z
 
@@ -255,7 +256,7 @@ def _waves(
     return tuple(waves)
 
 
-def _along(wave: Wave, axis: np.ndarray, channels: tuple[int, ...]) -> tuple[Wave, ...]:
+def _along(wave: Wave, axis: NDArray[np.float64], channels: tuple[int, ...]) -> tuple[Wave, ...]:
     """The same wave on three channels at once, along an axis (3,)."""
     return tuple(
         Wave(channel, wave.amplitude * float(part), wave.frequency, wave.phase)

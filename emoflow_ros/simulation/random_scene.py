@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
@@ -144,7 +145,7 @@ def _with_clearance(
     turn: float,
     gaze: tuple[float, float],
     layout: Layout,
-    times: np.ndarray,
+    times: NDArray[np.float64],
 ) -> float:
     """Shrink the translation until the camera keeps its distance from everything."""
     start = float(quad_distance(layout.quads, np.zeros((1, 3)))[0])
@@ -158,7 +159,7 @@ def _with_clearance(
     return place
 
 
-def _acceleration(path: Path, times: np.ndarray) -> float:
+def _acceleration(path: Path, times: NDArray[np.float64]) -> float:
     trajectory = path.trajectory(0.0, 0.0)
     return max(1e-9, *(float(np.linalg.norm(trajectory.angular_acceleration(t))) for t in times))
 

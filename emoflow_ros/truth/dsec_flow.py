@@ -132,7 +132,7 @@ def read_flow_png(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     return np.where(valid[..., None], flow, np.float32(0)), valid
 
 
-def write_flow_png(path: Path, flow: NDArray[np.floating]) -> None:
+def write_flow_png(path: Path, flow: NDArray[np.floating[Any]]) -> None:
     """Write a displacement (H, W, 2) in px, every pixel valid.
 
     Values are rounded to 1/128 px and limited to what 16 bits hold, -256 to 256 px.

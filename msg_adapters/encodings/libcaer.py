@@ -6,6 +6,7 @@ time_base holds what the 31 bits cannot at the packet's start; they may roll ove
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
 from msg_adapters.message import Statistics
@@ -51,7 +52,7 @@ class PacketDecoder:
         self._last = 0
         self._rolled = 0
 
-    def _unwrap(self, t: np.ndarray, time_base: int) -> None:
+    def _unwrap(self, t: NDArray[np.int64], time_base: int) -> None:
         """Add the roll-overs since time_base last changed to t (us), in place."""
         if time_base != self._time_base:
             self._time_base, self._last, self._rolled = time_base, int(t[0]), 0

@@ -12,6 +12,7 @@ follow the polarity of the event before after one byte of padding, and two more 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
 from msg_adapters.message import (
@@ -24,6 +25,8 @@ from msg_adapters.message import (
     Statistics,
     build_message,
 )
+
+type Structs = NDArray[np.void]
 
 TYPES = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
 
@@ -79,9 +82,10 @@ class EventArrayDecoder:
         order = cursor.order
         address = np.dtype([("x", f"{order}u2"), ("y", f"{order}u2")])
         value = np.dtype([("s", f"{order}{layout.seconds}"), ("ns", f"{order}u4"), ("p", "u1")])
-        first = np.ndarray((1,), address, data)
-        others = np.ndarray((count - 1,), address, data[layout.next :], strides=(layout.stride,))
-        values = np.ndarray((count,), value, data[address.itemsize :], strides=(layout.stride,))
+        stride = (layout.stride,)
+        first: Structs = np.ndarray((1,), address, data)
+        others: Structs = np.ndarray((count - 1,), address, data[layout.next :], strides=stride)
+        values: Structs = np.ndarray((count,), value, data[address.itemsize :], strides=stride)
 
         x, y = np.empty(count, np.uint16), np.empty(count, np.uint16)
         x[:1], y[:1] = first["x"], first["y"]

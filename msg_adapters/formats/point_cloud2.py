@@ -32,6 +32,8 @@ from msg_adapters.message import (
     build_message,
 )
 
+type PointType = np.dtype[np.void]
+
 TYPES = ("sensor_msgs/msg/PointCloud2",)
 
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -143,7 +145,7 @@ def _read_fields(cursor: Cursor) -> list[_Field]:
     return fields
 
 
-def _point_dtype(fields: list[_Field], order: str, point_step: int) -> tuple[np.dtype, str]:
+def _point_dtype(fields: list[_Field], order: str, point_step: int) -> tuple[PointType, str]:
     """Build the dtype (x, y, t, p) of a point, and return the time field's own name."""
     if point_step > _MAX_POINT_STEP:
         raise DecodeError(f"points of {point_step} bytes are no events")
@@ -179,7 +181,7 @@ def _find(by_name: dict[str, _Field], names: tuple[str, ...]) -> _Field:
 
 
 def _view_points(
-    cloud: memoryview, dtype: np.dtype, height: int, width: int, row_step: int, point_step: int
+    cloud: memoryview, dtype: PointType, height: int, width: int, row_step: int, point_step: int
 ) -> NDArray[np.void]:
     """View the points (height * width,) in row order; only padded rows are copied."""
     if height == 0 or width == 0:

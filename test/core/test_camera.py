@@ -26,7 +26,9 @@ def opencv_undistorted(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     if camera.model == "equidistant":
         out = cv2.fisheye.undistortPoints(pixels.reshape(-1, 1, 2), k, d, criteria=criteria)
     else:
-        out = cv2.undistortPoints(pixels.reshape(-1, 1, 2), k, d, criteria=criteria)
+        out = cv2.undistortPointsIter(
+            pixels.reshape(-1, 1, 2), k, d, np.eye(3), np.eye(3), criteria
+        )
     return out.reshape(-1, 2)
 
 

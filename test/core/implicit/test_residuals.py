@@ -132,7 +132,7 @@ def test_errors_of_random_rotations_are_as_large_as_the_covariance_says() -> Non
         scene = Scene(rng)
         flow = scene.rotation + scene.noise(rng)
         _, b = motion_matrices(scene.bearings)
-        w = np.linalg.lstsq(b.reshape(-1, 3), flow.ravel())[0]
+        w = np.linalg.lstsq(b.reshape(-1, 3), flow.ravel(), rcond=None)[0]
         residuals = rotation_residuals(scene.bearings, flow, everywhere(w))
         covariance = residuals.covariance(scene.share)
         assert not covariance[:3].any()
