@@ -34,8 +34,8 @@ _OF_W_TOO, _OF_EARLIER = 0.2, 0.2
 _LEAST_PX, _MOST_PX = 0.3, 4.0  # of that distance: it is a sample, which may be small by chance
 _LEAST_PARALLAX_PX = 0.1
 _CLAIMED = 0.3  # rad: spread of the possible directions of travel from which none is claimed
-_LASTING = 3  # windows before this one, of which ...
-_CONFIRMING = 2  # must have told the same direction, up to ...
+_LASTING = 2  # windows before this one, of which ...
+_CONFIRMING = 1  # must have told the same direction, up to ...
 _SAME = np.cos(np.radians(40.0))  # and none another one
 
 
@@ -206,9 +206,9 @@ class Claims:
     def claim(self, v: Array, possible: PossibleMotions) -> bool:
         """Tell whether a direction can be claimed. Call it once per window.
 
-        The motions that are possible have to agree on it, and two of the last three windows must
-        have told the same, and none another one: a direction that a few events suggest does not
-        last.
+        The motions that are possible have to agree on it. One of the last two windows must have
+        told the same direction, and none another one: a direction that a few events suggest does
+        not last.
 
         Args:
             v: (3,) unit, with its sign.

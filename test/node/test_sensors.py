@@ -16,7 +16,7 @@ from emoflow_ros.node import settings as module
 from emoflow_ros.node.settings import NodeOptions, Settings, calibration_path
 
 ROOT = Path(__file__).resolve().parents[2]
-SENSORS = {"mvsec": 45.0, "dsec": 45.0, "davis240": 45.0, "evk4": 90.0}  # stride in ms
+SENSORS = {"mvsec": 67.5, "dsec": 67.5, "davis240": 67.5, "evk4": 90.0}  # stride in ms
 
 
 def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
