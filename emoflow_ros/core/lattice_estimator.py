@@ -42,7 +42,8 @@ _SEARCH_EVENTS = 6_000
 _SEARCH_REACH_PX = 48.0
 _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
-_DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
+# 1 - |agreement| from which earlier windows no longer count: a tenth of the flow on the wrong side
+_DOUBT = 0.2
 _ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
 _SWITCH = 0.2  # of what the present direction of v leaves: so much less another one must cost
 

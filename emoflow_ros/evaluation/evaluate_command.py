@@ -67,7 +67,7 @@ examples:
 
 writes into DIR: report.html, report.json, windows.csv and estimates.h5 (docs/estimates_file.md).
 exit codes: 0 done, 1 no window could be estimated, 2 bad input, 130 interrupted (what was done
-until then is written).
+until then is written), 141 nobody reads the output.
 """
 
 
@@ -256,7 +256,9 @@ def _submission(options: argparse.Namespace, plan: Plan, camera: Camera) -> Subm
         return None
     if not plan.images:
         raise InputError(
-            "--submission", f"the protocol '{options.protocol}' has none", "give --protocol dsec"
+            "--submission",
+            f"the protocol '{options.protocol}' makes no flow images",
+            "give --protocol dsec",
         )
     name = options.sequence or options.input.resolve().name
     return Submission(options.submission, name, plan.images, camera, keep=options.resume)

@@ -43,7 +43,8 @@ examples:
 
 writes DIR/<name of INPUT>.h5 per recording (docs/labels.md).
 exit codes: 0 done, 1 some recordings could not be labelled (they are listed), 2 bad input,
-130 interrupted (finished chunks are kept: the same command with --resume continues).
+130 interrupted (finished chunks are kept: the same command with --resume continues), 141 nobody
+reads the output.
 """
 
 

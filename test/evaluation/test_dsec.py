@@ -206,7 +206,7 @@ def test_sequence_to_report_and_submission(monkeypatch, capsys, tmp_path, dsec):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--submission", "x"], "--submission: the protocol 'windows' has none"),
+        (["--submission", "x"], "--submission: the protocol 'windows' makes no flow images"),
         (["--policy", "paper"], "--policy paper: the protocol 'windows' has no intervals"),
         (["--protocol", "dsec", "--calib", "calib.txt"], "without --calib"),
     ],

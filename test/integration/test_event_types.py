@@ -240,7 +240,7 @@ def test_type_that_is_not_installed_names_its_package(processes: Processes) -> N
         peer.spin_until(lambda: "is not installed" in peer.status()["message"], "the refusal")
         assert (
             "prophesee_event_msgs/msg/EventArray: the message package prophesee_event_msgs is not "
-            "installed; install ros-jazzy-prophesee-event-msgs or build prophesee_event_msgs"
+            "installed; build prophesee_event_msgs in your workspace, source its setup file"
         ) in processes.output(node)
         assert peer.events.get_subscription_count() == 0
         assert node.poll() is None
