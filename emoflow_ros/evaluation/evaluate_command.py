@@ -76,10 +76,11 @@ def main() -> int:
     arguments = sys.argv[1:]
     if arguments[:1] == ["compare"]:
         return cli.run(lambda: run_comparison.main(arguments[1:]))
-    return cli.run(lambda: _run(_parse(arguments)))
+    return cli.run(lambda: _run(parse(arguments)))
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line of `evaluate`, without its name."""
     parser = argparse.ArgumentParser(
         prog="evaluate",
         description="Estimate egomotion and optical flow of a recording, without ROS running, and "

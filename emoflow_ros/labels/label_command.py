@@ -50,10 +50,11 @@ reads the output.
 
 def main() -> int:
     """Entry point."""
-    return cli.run(lambda: _run(_parse(sys.argv[1:])))
+    return cli.run(lambda: _run(parse(sys.argv[1:])))
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line of `label`, without its name."""
     parser = argparse.ArgumentParser(
         prog="label",
         description="Estimate dense optical flow and egomotion of many recordings, chunk by chunk "
