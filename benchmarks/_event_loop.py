@@ -146,7 +146,7 @@ def simulate_loops(
     """
     camera = scaled_camera(sensor.width, sensor.height)
     layout_rng, texture_rng, pixel_rng, noise_rng = np.random.default_rng(_SEED).spawn(4)
-    trajectory = _circle(_FRAMES * _FRAME / NS_PER_S)
+    trajectory = circle(_FRAMES * _FRAME / NS_PER_S)
     scene = Scene(build_scene(_SCENE, 1.0, layout_rng).quads, trajectory)
     textures = make_textures(_TEXTURES, texture_rng)
     caster = RayCaster(camera, scene.quads)
@@ -173,7 +173,7 @@ def scaled_camera(width: int, height: int) -> Camera:
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def _circle(seconds: float) -> Trajectory:
+def circle(seconds: float) -> Trajectory:
     """Move about as the camera of `calm` does, but come back after so many seconds."""
     hz = 1 / seconds
     waves = []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 ARGUMENTS = {
-    "events": ("events", "topic of the event messages; alone in the graph it is found"),
+    "events": ("events", "topic of the event messages; default: the only event topic there is"),
     "camera_info": ("camera_info", "calibration topic; default: the one beside the events"),
     "imu": ("", "topic of an IMU whose gyro is to be used, as imu.use=auto; empty: none is"),
     "calibration_file": ("", "camera_info YAML or ECD calib.txt instead of the topic"),
@@ -15,7 +15,7 @@ ARGUMENTS = {
     "params_file": (
         "",
         "YAML file of ROS parameters, or the name of one in config/sensors (mvsec, dsec, davis240, "
-        "evk4); counts before profile and twist_rate",
+        "evk4); its values replace those of profile and twist_rate",
     ),
     "twist_rate": ("60.0", "twists per second, of the newest event; 0: one per window"),
     "speed": ("", "speed of the camera in m/s, if it is known; empty: directions without a scale"),

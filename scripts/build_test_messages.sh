@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# Build message packages of the names and layouts of the event camera drivers' messages, for
-# tests on machines where those packages are not installed. They go into .test_messages/install;
-# the generators have an environment of their own there, which is removed after the build.
+# Build the message packages of the event camera drivers that Python does not find, for tests.
+# event_camera_msgs is released for Jazzy (ros-jazzy-event-camera-msgs): where it is installed, that
+# one is used. The wheels of ROS have none of these packages, so their field lists are here.
+# The packages go into .test_messages/install. The generators have an environment of their own
+# there, which is removed after the build.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -76,7 +78,7 @@ mend_exports() {
         -e "s|/opt/python/cp312-cp312/lib|$venv/lib|g" {} +
 }
 
-build() {
+build() { # package...
     local venv=$PWD/.venv log=$ROOT/build.log
     if [ -f "$ROS/setup.bash" ]; then
         set +u
@@ -92,32 +94,34 @@ build() {
     fi
     write_sources
     "$venv/bin/python" -m colcon --log-base "$ROOT/log" build --base-paths "$ROOT/src" \
-        --build-base "$ROOT/build" --install-base "$ROOT/install" \
+        --packages-select "$@" --build-base "$ROOT/build" --install-base "$ROOT/install" \
         --cmake-args -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF \
         >"$log" 2>&1 || { cat "$log" >&2; fail "the test messages could not be built"; }
     rm -rf "$ROOT/venv" "$ROOT/build"
 }
 
-installed() {
+# Name the packages that Python does not find.
+missing() {
     ( # shellcheck disable=SC1091
-        set +u
+        set +eu
         source scripts/env.sh
         for package in "${PACKAGES[@]}"; do
-            python -c "import $package.msg" 2>/dev/null || exit 1
+            python -c "import $package.msg" 2>/dev/null || echo "$package"
         done
     )
 }
 
 stamp=$ROOT/stamp
-if [ -f "$stamp" ] && cmp -s "$stamp" <(cat "$0" requirements-messages.lock) || installed; then
+if [ -f "$stamp" ] && cmp -s "$stamp" <(cat "$0" requirements-messages.lock) || [ -z "$(missing)" ]; then
     exit 0
 fi
 command -v cmake >/dev/null || fail "no cmake found; install cmake"
 command -v "${CXX:-c++}" >/dev/null || fail "no C++ compiler found; install g++"
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE VIRTUAL_ENV
-echo "setup: test messages (${PACKAGES[*]})"
 rm -rf "$ROOT"
+mapfile -t needed < <(missing) # now also those that an earlier build had made
+echo "setup: test messages (${needed[*]})"
 mkdir -p "$ROOT"
 touch "$ROOT/COLCON_IGNORE"
-build
+build "${needed[@]}"
 cat "$0" requirements-messages.lock >"$stamp"

@@ -115,7 +115,7 @@ def test_loops_are_of_one_turn(monkeypatch):
 
 
 def test_camera_comes_back_where_it_began():
-    trajectory = _event_loop._circle(4.0)
+    trajectory = _event_loop.circle(4.0)
     for before, after in zip(trajectory.pose(0.1), trajectory.pose(4.1), strict=True):
         np.testing.assert_allclose(before, after, atol=1e-12)
     speeds = [np.linalg.norm(trajectory.twist(t), axis=1) for t in np.linspace(0, 4, 100)]

@@ -120,7 +120,6 @@ def test_guide_names_folders_and_files_that_exist() -> None:
     assert len(named) > 15
     for path in named:
         assert (ROOT / path).exists(), path
-    assert "The container and the workflow were checked by parsers only." in text
 
 
 @pytest.mark.parametrize("path", FORMS, ids=lambda path: path.stem)

@@ -7,7 +7,8 @@ without ROS has no more, something else stands in:
   no ros2cli. The launch file of `ros2 launch` is looked for, and not started.
 - PYTHONPATH names a folder with the Python packages that apt and pip would install. pip checks
   their versions and installs nothing, since nothing is missing.
-- rosdep does not run, since it needs apt: its line is looked for in docker/Dockerfile.
+- `rosdep` is a script that checks its arguments, since the real one needs apt. So these tests
+  cannot see whether rosdep finds the keys of package.xml. docker/Dockerfile has its line, too.
 """
 
 import os
@@ -46,6 +47,10 @@ for prefix in ${AMENT_PREFIX_PATH//:/ }; do
 done
 echo "no executable $3 of $2" >&2
 exit 1
+"""
+ROSDEP = """\
+#!/usr/bin/env bash
+[ "$*" = "install --from-paths src --ignore-src --rosdistro jazzy --yes" ] && [ -d src ]
 """
 CALIBRATION = """\
 image_width: 120
@@ -101,8 +106,9 @@ def make_prefix(prefix: Path, others: Path) -> None:
             link(package / "lib", prefix / "lib")
             link(package / "share", prefix / "share")
     (prefix / "bin").mkdir()
-    (prefix / "bin" / "ros2").write_text(ROS2)
-    (prefix / "bin" / "ros2").chmod(0o755)
+    for name, text in (("ros2", ROS2), ("rosdep", ROSDEP)):
+        (prefix / "bin" / name).write_text(text)
+        (prefix / "bin" / name).chmod(0o755)
     for name in ("setup.bash", "local_setup.bash"):  # the latter is for workspaces on top of it
         (prefix / name).write_text(SETUP.format(prefix, modules))
 

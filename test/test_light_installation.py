@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 import h5py
-import hdf5plugin
 import pytest
 from event_bags import make_events
+
+hdf5plugin = pytest.importorskip("hdf5plugin")
 
 ROOT = Path(__file__).resolve().parents[1]
 HIDDEN = {"aedat", "cv2", "hdf5plugin", "ray", "skimage", "torch", "torchdiffeq"}

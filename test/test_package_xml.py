@@ -65,7 +65,7 @@ SYSTEM_KEYS = {
 }
 
 PIP = "pip"
-# By import: the rosdep key, or PIP where Ubuntu 24.04 has none.
+# By import: the rosdep key, or PIP for what pip alone installs.
 KEY_OF = {
     "aedat": PIP,
     "ament_index_python": "ament_index_python",

@@ -105,7 +105,7 @@ def _measure(options: argparse.Namespace, config: Config, folder: Path) -> None:
 
 def _subjects(options: argparse.Namespace) -> tuple[list[Subject], list[str]]:
     """List the recordings to measure, and the names of those that are not there."""
-    seeds = _seeds(options.seeds or (_QUICK if options.quick else _SEEDS))
+    seeds = parse_seeds(options.seeds or (_QUICK if options.quick else _SEEDS))
     everything = [*random_subjects(seeds, options.cache), *shared_subjects(options.data)]
     try:
         chosen = [subject for subject in everything if re.search(options.only, subject.name)]
@@ -118,7 +118,12 @@ def _subjects(options: argparse.Namespace) -> tuple[list[Subject], list[str]]:
     return there, missing
 
 
-def _seeds(text: str) -> range:
+def parse_seeds(text: str) -> range:
+    """Parse `A:B`, the seeds from A to B - 1.
+
+    Raises:
+        InputError: another form, or no seed.
+    """
     match = re.fullmatch(r"(\d+):(\d+)", text)
     if not match or int(match[1]) >= int(match[2]):
         raise InputError("--seeds", f"'{text}' is not A:B with A < B", "give for example 0:60")

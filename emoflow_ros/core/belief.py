@@ -18,14 +18,16 @@ from emoflow_ros.core.lattice import Lattice
 
 Array = NDArray[np.float64]
 
-# One event edge is seen by many events and a lattice smooths their errors into each other:
-# the normal equations are this much too sure (measured, docs/method.md).
+# Information of the normal equations over the true information (measured, docs/method.md). It is
+# too large, because the errors of the events are not independent: many events come from one edge,
+# and the lattice smooths their errors into each other.
 INFORMATION_EXCESS = 10.0
 
 _FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many windows
-_MAX_APPROACH = 0.2  # depths per window
+_MAX_APPROACH = 0.2  # approach, depths per window
 
-_MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24  # of the spline over the window, by control points
+# Weights of the control points in the mean of the spline over the window.
+_MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
 
 
 @dataclass(frozen=True)

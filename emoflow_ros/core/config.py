@@ -43,8 +43,8 @@ class GyroConfig:
 
     use: str = option(
         "off",
-        "take the angular velocity of an IMU as a measurement: never, when there is one, or always "
-        "and report its absence as an error",
+        "off: use no gyro; auto: use one if there is one; require: the same, and report an error "
+        "while there is none",
         choices=("off", "auto", "require"),
     )
     rotation: str = option(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-_LEAST_FLOW_PX = 0.3  # flow per window of which nobody can tell whether it is zero
+_LEAST_FLOW_PX = 0.3  # flow, px per window, that cannot be told from zero
 
 _compiled = numba.njit(cache=True, nogil=True)
 

@@ -20,13 +20,13 @@ from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import gather_cells
 
-PARTS = 4  # of the window, whose images are compared
-PAIRS = PARTS / (PARTS - 1)  # all pairs of events over those of different parts
-STIFFNESS_STRIDE = 4  # events per event whose stiffness is taken: the most costly part
+PARTS = 4  # parts of the window whose images are compared
+PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
+STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: that is the most costly part
 
-_DENSITY_CELL = 4  # px: density is counted in cells of this size ...
-_DENSITY_SIGMA = 2.0  # ... and smoothed by this many of them
-_DENSITY_FLOOR = 0.1  # share of the mean density, so that lone events stay weak
+_DENSITY_CELL = 4  # side of the cells in which density is counted, px
+_DENSITY_SIGMA = 2.0  # standard deviation of the density's smoothing, cells
+_DENSITY_FLOOR = 0.1  # share of the mean density that is added: lone events stay weak
 
 F32 = NDArray[np.float32]
 

@@ -1,9 +1,10 @@
 """How likely a window's estimate is wrong, and what becomes of one that is.
 
-Two other explanations of the window lie at a distance from the estimate: a fresh fit
-(core.second_look) and the scene of an earlier window (core.earlier_scene). The shorter the flow,
-the more such a distance means. Windows of one scene go wrong together: where few of the last ones
-were confirmed, one that seems right is more often so by chance.
+Two other explanations of a window are compared with its estimate: a fresh fit (core.second_look)
+and the scene of an earlier window (core.earlier_scene). Their distances from the estimate, and the
+length of the flow, give a probability that the estimate is wrong: the shorter the flow, the more a
+distance counts. The windows of one scene are often wrong together. So the probability is higher if
+few of the last windows were confirmed: a window that agrees then often does so by chance.
 """
 
 import math

@@ -148,7 +148,7 @@ class NodeEpipolar:
 
         Args:
             flow, motion: as in `residuals`.
-            inverse_depth: (nodes,), see `structure.Structure`.
+            inverse_depth: (nodes,), see `belief.Structure`.
         """
         residuals = Residuals.empty(*flow.shape[:2])
         constraints.along_lines(

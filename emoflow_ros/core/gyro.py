@@ -19,20 +19,23 @@ from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, Sha
 Array = NDArray[np.float64]
 
 _NS_PER_S = 1e9
-_CLOCK_S = 0.5e-3  # what the offset between the clocks is not known by
-# What events and gyro differ by although both are right: calibration, the choice of the window.
+_CLOCK_S = 0.5e-3  # standard deviation of the offset between the clocks, s
+# Standard deviation of the difference between events and gyro although both are right, because of
+# the calibration and the choice of the window: a constant, and a share of the angular velocity.
 _FLOOR = math.radians(0.3)  # rad/s
 _RELATIVE_FLOOR = 0.03
-_GROSS = 0.12  # part of the angular velocity that does not count as disagreement
+# Standard deviation, as a share of the angular velocity, that is added before a difference counts
+# as disagreement.
+_GROSS = 0.12
 _DISAGREE = 16.3  # squared distance in standard deviations that 0.1 % exceed
 _TELLING = 3.0  # standard deviations of w from which agreement says something
 _SHARE_REJECTED = 0.6
 _SHARE_ACCEPTED = 0.3
-_MEMORY_S = 2.0  # of the share of windows that disagree ...
-_FIRST_MEMORY_S = 0.4  # ... and of a gyro that has not agreed with them for long enough
-_CONFIRMED_S = 2.0
-_TRIAL_S = 2.0  # of agreement after which a rejected gyro is used again
-_RETRY_S = 3.0  # of disagreement after which a rejected gyro's bias is doubted once more
+_MEMORY_S = 2.0  # time constant of the share of windows that disagree, s
+_FIRST_MEMORY_S = 0.4  # the same until the gyro has agreed for _CONFIRMED_S
+_CONFIRMED_S = 2.0  # time of agreement, s
+_TRIAL_S = 2.0  # time of agreement after which a rejected gyro is used again, s
+_RETRY_S = 3.0  # time of disagreement after which a rejected gyro's bias is doubted once more, s
 
 # Errors of the events' estimates that are nearer than this in time go together, s.
 _CORRELATED_S = 0.25

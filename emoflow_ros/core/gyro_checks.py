@@ -13,15 +13,15 @@ from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings
 
 Array = NDArray[np.float64]
 
-_FROZEN_NS = 50_000_000
-_FROZEN_READINGS = 10
-_AT_RANGE = 0.99  # of the range that counts as being at it
+_FROZEN_NS = 50_000_000  # time of equal readings
+_FROZEN_READINGS = 10  # number of equal readings
+_AT_RANGE = 0.99  # share of the range from which a reading counts as at its end
 
 UNITS = 0.35  # relative error of a scale up to which it looks like wrong units
 _DEG = math.degrees(1.0)
-_KEPT = 60
-_FEW = 8
-_BETTER = 0.5  # other axes have to leave less than this of what the given ones leave
+_KEPT = 60  # number of windows that are compared
+_FEW = 8  # number of windows; fewer tell nothing
+_BETTER = 0.5  # share of the given axes' squared residual that other axes may leave
 
 # All 48 matrices of permuted and mirrored axes.
 AXES: list[Array] = [

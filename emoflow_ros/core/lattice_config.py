@@ -37,7 +37,8 @@ class LatticeConfig:
     )
     dec_inlier_px: float = option(
         0.7,
-        "residual of the constraint at which a node costs half: moving objects drop out",
+        "residual of the constraint at which a node costs half as much as by squares; nodes on "
+        "moving objects have larger residuals and count little",
         unit="px per window",
         minimum=1e-2,
         maximum=100.0,
@@ -70,8 +71,8 @@ class LatticeConfig:
     )
     direction_drift: float = option(
         120.0,
-        "random walk of the direction of travel between windows: less drift is more memory, "
-        "steadier and later",
+        "random walk of the direction of travel between windows; a smaller value remembers more: "
+        "the direction is steadier and follows a change later",
         unit="deg per square root of a second",
         minimum=0.1,
         maximum=1e4,

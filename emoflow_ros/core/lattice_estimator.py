@@ -42,9 +42,10 @@ _SEARCH_EVENTS = 6_000
 _SEARCH_REACH_PX = 48.0
 _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
-_DOUBT = 0.2  # share of the flow on the wrong side at which earlier windows count no more
+# 1 - |agreement| from which earlier windows no longer count: a tenth of the flow on the wrong side
+_DOUBT = 0.2
 _ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
-_SWITCH = 0.2  # of what the present direction of v leaves: so much less another one must cost
+_SWITCH = 0.2  # share of the present residual cost by which another direction of v must be cheaper
 
 
 class LatticeEstimator:
@@ -115,7 +116,7 @@ class LatticeEstimator:
                     flows += [fit.turned(flow, turned) for flow in flows]
                 fit.flow = best_start(coarse, events, flows)
                 stop = self._fit_warm(events, last.predict(fit, window))
-                # A cold fit takes longer than any deadline leaves.
+                # After the deadline there is no time for a cold fit, even if the flow is lost.
                 warm = self._late() or not is_lost(coarse, events, fit.flow, self._check.fresh())
             if not warm:
                 self._start_anew()
@@ -157,7 +158,7 @@ class LatticeEstimator:
                 fit.step_free()
                 self._iterations += 1
         fit.linearise(events, 1.0)
-        if self._is_confined(events):  # refused below: what costs most is spared
+        if self._is_confined(events):  # `_estimate` refuses it: leave out the costly steps
             return "confined"
         free = fit.free_flow()
         found = self._epipolar.search(*free.evidence, sized=free.known is None)
@@ -229,12 +230,12 @@ class LatticeEstimator:
         others = epipolar.search(*free.evidence, sized=sized)
         turn = epipolar.rotation(*free.evidence, sized=sized)
         if prior is not None:
-            # A motion that puts part of the scene behind the camera has not proved itself.
+            # Trust earlier windows less if the motion puts part of the scene behind the camera.
             trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
             others = replace(others, size=others.size + trust * prior.surprise(others.v))
         heat = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
         best = int(others.cost.argmin())
-        rotates = self._selector.model is MotionModel.ROTATION  # v is but a guess, held ready
+        rotates = self._selector.model is MotionModel.ROTATION  # v is then only a guess
         margin = 0.0 if rotates else _SWITCH * here.residual[0]
         switch = bool(others.cost[best] < here.cost[0] - margin)
         if switch:

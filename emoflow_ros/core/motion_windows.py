@@ -17,31 +17,32 @@ from emoflow_ros.core.preparation import reduction
 
 F32 = NDArray[np.float32]
 
-_GRID_PX = 16  # between the pixels whose displacement counts
+_GRID_PX = 16  # distance between the pixels whose displacement counts
 _STILL_PX = 1e-3
 _FAST = 0.9  # quantile of the displacements that counts: where it is fast, warps fail first
 _LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns back on its way
-_FIRST = 0.25  # of the window in the first part, before any motion is known ...
-_SECOND = 2 / 3  # ... and where that shows none
-# Parts of the next windows while there is no estimate: as a rule the camera hardly moves, and whole
-# windows tell first that it begins to; at times it is too fast for them.
+_FIRST = 0.25  # share of the window's events in the first part, before any motion is known
+_SECOND = 2 / 3  # the same in a second attempt, if the first part shows no motion
+# Shares of the next windows' events while there is no estimate, in turn. Usually the camera hardly
+# moves then, and whole windows show best when it begins to move. But it may also be too fast for
+# whole windows.
 _RETRIES = (1.0, 0.25, 1.0, 0.06)
-_CHANGE_PX = 2.0  # of the working image, off the fit: what else a part may contain
-_TOO_SHORT = 1.5  # a first part that the motion allows to be so much longer is taken anew
+_CHANGE_PX = 2.0  # largest displacement off the fit within a part, px of the working image
+_TOO_SHORT = 1.5  # ratio of events: if the motion allows more, the first part is estimated anew
 
-_THIRD = 1 / 3  # of a window
-_FEW_EVENTS = 300  # tell nothing about a third
-_EVENTS = 3_000  # are enough at low resolution
+_THIRD = 1 / 3  # share of a window
+_FEW_EVENTS = 300  # number of events in a third; fewer tell nothing
+_EVENTS = 3_000  # number of events that is enough at low resolution
 
 
 class MotionWindows:
     """Estimates the latest part of each window that the motion allows (an Estimator).
 
-    Events, counted as they came, are what edges leave behind per pixel that they move: a part with
-    the events of `max_displacement_px` pixels, as many as the last part's events and displacement
-    tell, is short as soon as the camera is fast, and long when events are few. Its length depends
-    on nothing but the windows so far. A part never begins before the last one with an estimate,
-    so that the estimates' times grow.
+    An edge makes events for each pixel that it moves. So the number of events, counted as they
+    came, measures the displacement. The last part's events and displacement tell how many events
+    `max_displacement_px` pixels make, and the next part has so many. Such a part is short if the
+    camera is fast, and long if events are few. Its length depends only on the windows so far. A
+    part never begins before the last one with an estimate, so the estimates' times increase.
 
     A displacement is the length of the path: a camera that shakes leaves events on its way back,
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its

@@ -18,19 +18,21 @@ from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.thinning import spread
 
-_LONGER_SIDE_PX = 346  # that options in pixels are meant for; smaller sensors keep their pixels
+# Longer side of the working image of a large sensor, px. Options in pixels are meant for an image
+# of this size. Smaller sensors keep their pixels.
+_LONGER_SIDE_PX = 346
 
-_SHORTEST_SPREAD = 0.1  # windows between the first and the last tenth of the events
-_BLOCK = 8  # px
-_FEWEST_BLOCKS = 16  # that hold events
+_SHORTEST_SPREAD = 0.1  # share of the window between the first and the last tenth of the events
+_BLOCK = 8  # side of a block, px
+_FEWEST_BLOCKS = 16  # number of blocks that must hold events
 
-_FEWEST_HOT = 5  # events above what the neighbours explain
-_SHARE_OF_NEIGHBOURS = 0.5  # of the events of its eight neighbours that a pixel may have besides
+_FEWEST_HOT = 5  # number of events that any pixel may have
+_SHARE_OF_NEIGHBOURS = 0.5  # share of its eight neighbours' events that a pixel may have besides
 
 MAINS_HZ = (100.0, 120.0)
 
 _LAMP_BLOCK = 16  # sensor pixels along a side of a block
-_LAMP_PARTS = 3  # of the time, each of which must show the flicker by itself
+_LAMP_PARTS = 3  # parts of the time, each of which must show the flicker by itself
 _SHORTEST_LAMP_S = 0.02  # two periods
 _COHERENT = 0.35  # share of the polarity that goes with the mains from which a block flickers
 _CERTAIN = 5.0  # n times the square of that: exp(-5) is its chance without flicker, per part

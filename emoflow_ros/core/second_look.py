@@ -29,10 +29,10 @@ _ALL = 1_000_000_000
 _STEPS = ((0.25, 2_000, 5), (0.5, _ALL, 2))
 SCALES = tuple(scale for scale, _, _ in _STEPS)
 
-_EVENTS = 2_000  # are enough at low resolution
-_REACH_PX = 16.0  # of the fresh search, per window
-_SHARE = 0.75  # of the events: a few at the edges of depth may lie far apart
-_BETTER = 1.05  # contrast of a constant flow over that of the fit from which the fit is lost
+_EVENTS = 2_000  # number of events that is enough at low resolution
+_REACH_PX = 16.0  # reach of the fresh search, px per window
+_SHARE = 0.75  # share of the events that count: a few at depth edges may lie far apart
+_BETTER = 1.05  # contrast of a constant flow over that of the fit: from here on the fit is lost
 
 
 class SecondLook:

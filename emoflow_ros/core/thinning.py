@@ -172,7 +172,8 @@ def _thin_evenly(events: Events, count: int) -> Events:
     x, y, p = (np.ascontiguousarray(a) for a in (events.x, events.y, events.p))
     chosen = np.empty(count, np.intp)
     candidates = min(len(events), _CANDIDATES * count)
-    # Where the count begins changes from piece to piece, or a block of few events always lost them.
+    # The count begins at another event in each piece. Otherwise a block of few events would lose
+    # them all, in every piece.
     phase = (int(events.t[0]) * 0x9E3779B1) % 2**32
     number = _choose(x, y, p, np.ascontiguousarray(weights), one_each, candidates, phase, chosen)
     kept = events[chosen[:number]]

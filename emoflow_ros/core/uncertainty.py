@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Variance of a node's flow that more events do not lessen, px^2 per window^2 (docs/method.md): of
-# depth edges and of the lattice between its nodes.
+# Variance of a node's flow that more events do not reduce, px^2 per window^2 (docs/method.md). It
+# comes from depth edges and from the lattice between its nodes.
 _LASTING_PX2 = 0.6
-_USUAL_MISFIT = 0.1  # median over windows
-_LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # over the usual one
+_USUAL_MISFIT = 0.1  # least residual cost over what _LASTING_PX2 explains, median over windows
+_LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the usual one
 
 # Chosen on the random recordings with seeds 0 to 59 and those of another simulator
 # (docs/method.md).
@@ -31,12 +31,13 @@ _OF_W, _OF_V = 0.45, 0.2  # shares of the distance of the second fit that are w'
 # With an earlier scene: share of the same distance that is w's error, and share of the squared
 # difference of the two values of w that is the variance.
 _OF_W_TOO, _OF_EARLIER = 0.2, 0.2
-_LEAST_PX, _MOST_PX = 0.3, 4.0  # of that distance: it is a sample, which may be small by chance
+# Bounds of that distance, px per window. One distance is a sample and may be small by chance.
+_LEAST_PX, _MOST_PX = 0.3, 4.0
 _LEAST_PARALLAX_PX = 0.1
-_CLAIMED = 0.3  # rad: spread of the possible directions of travel from which none is claimed
-_LASTING = 2  # windows before this one, of which ...
-_CONFIRMING = 1  # must have told the same direction, up to ...
-_SAME = np.cos(np.radians(40.0))  # and none another one
+_CLAIMED = 0.3  # spread of the possible directions of travel from which none is claimed, rad
+_LASTING = 2  # number of windows before this one that are compared
+_CONFIRMING = 1  # number of these that must have told the same direction, and none another one
+_SAME = np.cos(np.radians(40.0))  # cosine of the largest angle between two same directions
 
 
 def trusted(information: Array) -> Array:

@@ -67,7 +67,7 @@ examples:
 
 writes into DIR: report.html, report.json, windows.csv and estimates.h5 (docs/estimates_file.md).
 exit codes: 0 done, 1 no window could be estimated, 2 bad input, 130 interrupted (what was done
-until then is written).
+until then is written), 141 nobody reads the output.
 """
 
 
@@ -76,10 +76,11 @@ def main() -> int:
     arguments = sys.argv[1:]
     if arguments[:1] == ["compare"]:
         return cli.run(lambda: run_comparison.main(arguments[1:]))
-    return cli.run(lambda: _run(_parse(arguments)))
+    return cli.run(lambda: _run(parse(arguments)))
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line of `evaluate`, without its name."""
     parser = argparse.ArgumentParser(
         prog="evaluate",
         description="Estimate egomotion and optical flow of a recording, without ROS running, and "
@@ -256,7 +257,9 @@ def _submission(options: argparse.Namespace, plan: Plan, camera: Camera) -> Subm
         return None
     if not plan.images:
         raise InputError(
-            "--submission", f"the protocol '{options.protocol}' has none", "give --protocol dsec"
+            "--submission",
+            f"the protocol '{options.protocol}' makes no flow images",
+            "give --protocol dsec",
         )
     name = options.sequence or options.input.resolve().name
     return Submission(options.submission, name, plan.images, camera, keep=options.resume)

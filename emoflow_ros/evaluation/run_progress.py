@@ -27,7 +27,7 @@ from emoflow_ros.evaluation.window_results import WindowResult
 
 WORST = 5
 _CAPACITY = 8
-_PERIOD_S = 10.0
+PERIOD_S = 10.0
 
 # Estimators hold handles of loaded libraries. They are not saved; loading finds them again.
 copyreg.pickle(ThreadpoolController, lambda _: (ThreadpoolController, ()))
@@ -194,7 +194,7 @@ class Checkpoint:
 
     def save_if_due(self, progress: Progress) -> None:
         """Save every 10 s."""
-        if time.monotonic() - self._saved_at >= _PERIOD_S:
+        if time.monotonic() - self._saved_at >= PERIOD_S:
             self.save(progress)
 
     def save(self, progress: Progress) -> None:

@@ -247,14 +247,14 @@ def _estimate(job: Job, recording: Recording, writer: LabelWriter) -> None:
     """Estimate all windows, in one thread: cores work on chunks of their own."""
     estimator = make_estimator(job.header.camera, job.config)
     with threadpool_limits(1):
-        for window in _windows(recording, job.chunk.intervals(job.config.window)):
+        for window in chunk_windows(recording, job.chunk.intervals(job.config.window)):
             estimate, note = attempt(estimator, window)
             if window.t_start >= job.chunk.start:
                 writer.append(window, estimate, note)
 
 
-def _windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window]:
-    """Cut the windows; what follows them is not read."""
+def chunk_windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window]:
+    """Cut the windows of these intervals; what follows the last one is not read."""
     slicer = IntervalSlicer(intervals)
     for events in recording.event_chunks(intervals[0][0]):
         yield from slicer.push(events)

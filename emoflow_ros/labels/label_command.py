@@ -43,16 +43,18 @@ examples:
 
 writes DIR/<name of INPUT>.h5 per recording (docs/labels.md).
 exit codes: 0 done, 1 some recordings could not be labelled (they are listed), 2 bad input,
-130 interrupted (finished chunks are kept: the same command with --resume continues).
+130 interrupted (finished chunks are kept: the same command with --resume continues), 141 nobody
+reads the output.
 """
 
 
 def main() -> int:
     """Entry point."""
-    return cli.run(lambda: _run(_parse(sys.argv[1:])))
+    return cli.run(lambda: _run(parse(sys.argv[1:])))
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line of `label`, without its name."""
     parser = argparse.ArgumentParser(
         prog="label",
         description="Estimate dense optical flow and egomotion of many recordings, chunk by chunk "

@@ -47,9 +47,9 @@ class InputOptions:
     )
     queue_windows: int = option(
         1,
-        "windows that may wait for the worker; one more drops the oldest, but those that one "
-        "message completes; messages may wait for the decoder as long, and for one window more; "
-        "give more to estimate every window, later",
+        "windows that may wait for the worker; when one more comes, the oldest is dropped; windows "
+        "that one message completes are all kept; messages may wait for the decoder as long, and "
+        "for one window more; a larger number estimates more windows, but later",
         minimum=1,
         maximum=100,
     )

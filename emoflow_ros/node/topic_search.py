@@ -17,6 +17,9 @@ SETTLING_S = 1.0
 # Lidars publish this type, too. Such a topic is taken only if the user names it.
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
+# The one message package of event cameras that has a Debian package for Jazzy.
+_RELEASED = "event_camera_msgs"
+
 
 @dataclass(frozen=True, order=True)
 class EventTopic:
@@ -147,14 +150,16 @@ def import_message_type(ros_type: str) -> Any:
         InputError: its package is not installed.
     """
     package, _, name = ros_type.split("/")
+    fix = f"build {package} in your workspace"
+    if package == _RELEASED:
+        fix = f"install ros-jazzy-{package.replace('_', '-')}"
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
         raise InputError(
             ros_type,
             f"the message package {package} is not installed",
-            f"install ros-jazzy-{package.replace('_', '-')} or build {package}, "
-            "source its setup file and try again",
+            f"{fix}, source its setup file and try again",
         ) from None
 
 

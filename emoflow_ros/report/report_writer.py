@@ -98,7 +98,7 @@ def write_report(
     report = Report(folder / "report.html", folder / "report.json", measures)
     write_json(report.json, document)
     write_csv(folder / "windows.csv", rows)
-    page = _html(run, measures, by_truth, facts, configuration, ablation)
+    page = render_page(run, measures, by_truth, facts, configuration, ablation)
     report.html.write_text(page, encoding="utf-8")
     return report
 
@@ -130,7 +130,7 @@ def _facts(run: Evaluation) -> dict[str, Any]:
     }
 
 
-def _html(
+def render_page(
     run: Evaluation,
     measures: Sequence[Measure],
     by_truth: Mapping[str, Sequence[Measure]],
@@ -138,6 +138,7 @@ def _html(
     configuration: Mapping[str, Any],
     ablation: Ablation | None,
 ) -> str:
+    """Write the page `report.html`, with its pictures in it."""
     examples = run.gallery.examples()
     with_tracks = [example for example in examples if example.tracks]
     tracked = max(with_tracks, key=lambda example: len(example.tracks), default=None)

@@ -169,7 +169,7 @@ class ImuModel:
     )
     offset_ms: float = option(
         0.0,
-        "what its stamps lack of the events' time, ms, as imu.time_offset_ms",
+        "events' time minus the IMU's stamps, ms: the right value of imu.time_offset_ms",
         minimum=-1000.0,
         maximum=1000.0,
     )

@@ -1,6 +1,22 @@
-"""Makes the helpers of these tests importable."""
+"""Makes the helpers of these tests importable; the command `evaluate`."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+from emoflow_ros.evaluation import evaluate_command
+
 sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Call `evaluate` with these arguments; its exit code."""
+
+    def run(*arguments: object) -> int:
+        monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
+        return evaluate_command.main()
+
+    return run

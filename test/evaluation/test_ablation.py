@@ -7,7 +7,7 @@ import pytest
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation import ablation, evaluate_command
+from emoflow_ros.evaluation import ablation
 from emoflow_ros.evaluation.ablation import (
     ABLATIONS,
     Ablation,
@@ -26,11 +26,6 @@ TINY = (
     "estimator.early_stop.min_improvement=1000",
     "estimator.min_contrast_gain=0",
 )
-
-
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate_command.main()
 
 
 def rows_of(out):
@@ -53,20 +48,20 @@ def test_variants_differ_or_there_are_none(name, profile, supported):
     assert len(different) == len(variants) >= 2
 
 
-def test_unsupported_is_one_line_before_any_work(monkeypatch, capsys, tmp_path, calm_bag):
+def test_unsupported_is_one_line_before_any_work(call, capsys, tmp_path, calm_bag):
     out = tmp_path / "out"
-    assert call(monkeypatch, calm_bag.data, "--ablate", "depth", "--out", out) == 2
+    assert call(calm_bag.data, "--ablate", "depth", "--out", out) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: --ablate depth: the lattice estimator of profile realtime")
     assert error.count("\n") == 1
     assert not out.exists()
 
 
-def test_start_on_a_simulated_recording(monkeypatch, capsys, tmp_path, calm_bag):
+def test_start_on_a_simulated_recording(call, capsys, tmp_path, calm_bag):
     out = tmp_path / "out"
     truth = ("--gt", calm_bag.truth, calm_bag.flow)
     whole_run = ("--set", "estimator.max_doubt=1", "--ablate", "start", "--out", out)
-    assert call(monkeypatch, calm_bag.data, *truth, *whole_run) == 0
+    assert call(calm_bag.data, *truth, *whole_run) == 0
     warm, cold = rows_of(out)
     assert warm["name"].startswith("warm")
     assert cold["name"].startswith("cold")
@@ -82,11 +77,11 @@ def test_start_on_a_simulated_recording(monkeypatch, capsys, tmp_path, calm_bag)
 
 @pytest.mark.usefixtures("without_page")
 @pytest.mark.parametrize(("name", "option"), [("huber", "dec_inlier_px"), ("losses", "dec_weight")])
-def test_parts_of_the_lattice_with_a_moving_object(monkeypatch, tmp_path, mover_bag, name, option):
+def test_parts_of_the_lattice_with_a_moving_object(call, tmp_path, mover_bag, name, option):
     out = tmp_path / "out"
     truth = ("--gt", mover_bag.truth, mover_bag.flow)
     whole_run = ("--set", "estimator.max_doubt=1", "--ablate", name, "--out", out)
-    assert call(monkeypatch, mover_bag.data, *truth, *whole_run) == 0
+    assert call(mover_bag.data, *truth, *whole_run) == 0
     whole, without = rows_of(out)
     assert list(without["overrides"]) == [f"estimator.{option}"]
     for row in (whole, without):
@@ -98,13 +93,13 @@ def test_parts_of_the_lattice_with_a_moving_object(monkeypatch, tmp_path, mover_
 
 @pytest.mark.usefixtures("without_page")
 @pytest.mark.parametrize("name", ["losses", "depth", "early_stop", "huber"])
-def test_tiny_network(monkeypatch, tmp_path, calm_bag, name):
+def test_tiny_network(call, tmp_path, calm_bag, name):
     """Every ablation of the paper's method runs, on one window."""
     out = tmp_path / "out"
     truth = ("--gt", calm_bag.truth, calm_bag.flow)
     options = [part for value in TINY for part in ("--set", value)]
     options += ["--max-windows", 1, "--ablate", name, "--out", out]
-    assert call(monkeypatch, calm_bag.data, *truth, "--profile", "paper", *options) == 0
+    assert call(calm_bag.data, *truth, "--profile", "paper", *options) == 0
     rows = rows_of(out)
     variants = variants_of(name, load_config("paper"))
     assert [row["name"] for row in rows] == [variant.name for variant in variants]
@@ -115,7 +110,7 @@ def test_tiny_network(monkeypatch, tmp_path, calm_bag, name):
 
 
 @pytest.mark.usefixtures("without_page")
-def test_interrupted_ablation_keeps_its_rows(monkeypatch, capsys, tmp_path, calm_bag):
+def test_interrupted_ablation_keeps_its_rows(monkeypatch, call, capsys, tmp_path, calm_bag):
     def stopped(*arguments, done=ablation.evaluate, **options):
         run = done(*arguments, **options)
         run.interrupted = True
@@ -124,7 +119,7 @@ def test_interrupted_ablation_keeps_its_rows(monkeypatch, capsys, tmp_path, calm
     monkeypatch.setattr(ablation, "evaluate", stopped)
     out = tmp_path / "out"
     options = ("--max-windows", 1, "--ablate", "start", "--out", out)
-    assert call(monkeypatch, calm_bag.data, *options) == 130
+    assert call(calm_bag.data, *options) == 130
     assert [row["name"] for row in rows_of(out)] == ["warm (from the window before)"]
     assert "variants done until then" in capsys.readouterr().err
 

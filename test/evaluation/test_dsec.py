@@ -11,7 +11,6 @@ from synthetic import Plane, write_dsec
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation import evaluate_command
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.evaluation.protocols import make_plan
 from emoflow_ros.readers import open_recording
@@ -171,12 +170,7 @@ class TestIntervals:
             make_plan("dsec", recording, Truth(), WindowPolicy())
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate_command.main()
-
-
-def test_sequence_to_report_and_submission(monkeypatch, capsys, tmp_path, dsec):
+def test_sequence_to_report_and_submission(call, capsys, tmp_path, dsec):
     """The real estimator, at the intervals of a list: its images against the exact flow."""
     lines = [f"{a // 1000}, {b // 1000}, {10 * k}" for k, (a, b) in enumerate(INTERVALS[1:])]
     (tmp_path / "list.csv").write_text("\n".join(lines))
@@ -185,7 +179,7 @@ def test_sequence_to_report_and_submission(monkeypatch, capsys, tmp_path, dsec):
     # Windows as long as the intervals, so that the stored flow is that of the intervals.
     options += ("--timestamps", tmp_path / "list.csv", "--save-flow")
     options += ("--set", "window.duration_ms=100.0")
-    assert call(monkeypatch, dsec.path, *options) == 0
+    assert call(dsec.path, *options) == 0
     assert str(images / "zurich_city_12_a") in capsys.readouterr().out
     report = json.loads((out / "report.json").read_text())
     assert report["protocol"].startswith("dsec: 2 intervals of list.csv; policy causal")
@@ -206,15 +200,15 @@ def test_sequence_to_report_and_submission(monkeypatch, capsys, tmp_path, dsec):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--submission", "x"], "--submission: the protocol 'windows' has none"),
+        (["--submission", "x"], "--submission: the protocol 'windows' makes no flow images"),
         (["--policy", "paper"], "--policy paper: the protocol 'windows' has no intervals"),
         (["--protocol", "dsec", "--calib", "calib.txt"], "without --calib"),
     ],
 )
-def test_options_that_do_not_go_together(monkeypatch, capsys, tmp_path, dsec, options, words):
+def test_options_that_do_not_go_together(monkeypatch, call, capsys, tmp_path, dsec, options, words):
     monkeypatch.chdir(tmp_path)
     Path("calib.yaml").touch()
     Path("calib.txt").write_text("555 555 320 240 0 0 0 0 0")
-    assert call(monkeypatch, dsec.path, "--out", "out", *options) == 2
+    assert call(dsec.path, "--out", "out", *options) == 2
     error = capsys.readouterr().err
     assert words in error

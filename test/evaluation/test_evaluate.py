@@ -6,11 +6,6 @@ from emoflow_ros.evaluation import evaluate_command
 from emoflow_ros.evaluation.recording_options import overrides
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate_command.main()
-
-
 def ecd(path, events, calibration="20 20 16 12 0 0 0 0 0"):
     path.mkdir()
     (path / "events.txt").write_text(events)
@@ -28,35 +23,35 @@ def assert_line(capsys, code, *words):
         assert word in lines[0]
 
 
-def test_help_explains_itself(monkeypatch, capsys):
+def test_help_explains_itself(call, capsys):
     with pytest.raises(SystemExit) as done:
-        call(monkeypatch, "--help")
+        call("--help")
     assert done.value.code == 0
     text = capsys.readouterr().out
     for word in ("--gt", "--window-ms", "estimates.h5", "examples:", "exit codes"):
         assert word in text
 
 
-def test_missing_input(monkeypatch, capsys, tmp_path):
-    code = call(monkeypatch, tmp_path / "none.bag")
+def test_missing_input(call, capsys, tmp_path):
+    code = call(tmp_path / "none.bag")
     assert_line(capsys, code, "none.bag: no such file")
 
 
-def test_no_calibration(monkeypatch, capsys, tmp_path):
-    code = call(monkeypatch, ecd(tmp_path / "e", "0.1 1 1 1\n", calibration=None))
+def test_no_calibration(call, capsys, tmp_path):
+    code = call(ecd(tmp_path / "e", "0.1 1 1 1\n", calibration=None))
     assert_line(capsys, code, "no camera calibration", "--calib FILE")
 
 
-def test_missing_truth(monkeypatch, capsys, tmp_path):
+def test_missing_truth(call, capsys, tmp_path):
     folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
-    code = call(monkeypatch, folder, "--gt", tmp_path / "gt.bag", "--out", tmp_path / "out")
+    code = call(folder, "--gt", tmp_path / "gt.bag", "--out", tmp_path / "out")
     assert_line(capsys, code, "gt.bag: no such file", "--gt")
 
 
-def test_unknown_truth(monkeypatch, capsys, tmp_path):
+def test_unknown_truth(call, capsys, tmp_path):
     folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
     (tmp_path / "gt.xml").touch()
-    code = call(monkeypatch, folder, "--gt", tmp_path / "gt.xml", "--out", tmp_path / "out")
+    code = call(folder, "--gt", tmp_path / "gt.xml", "--out", tmp_path / "out")
     assert_line(capsys, code, "gt.xml: not ground truth of a known format")
 
 
@@ -70,28 +65,28 @@ def test_unknown_truth(monkeypatch, capsys, tmp_path):
         (["--profile", "fast"], "unknown profile 'fast'"),
     ],
 )
-def test_bad_options(monkeypatch, capsys, tmp_path, arguments, words):
+def test_bad_options(call, capsys, tmp_path, arguments, words):
     folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
-    assert_line(capsys, call(monkeypatch, folder, *arguments), words)
+    assert_line(capsys, call(folder, *arguments), words)
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
-def test_speed_is_a_number_above_0(monkeypatch, capsys, tmp_path, speed):
+def test_speed_is_a_number_above_0(call, capsys, tmp_path, speed):
     with pytest.raises(SystemExit) as done:
-        call(monkeypatch, tmp_path, f"--speed={speed}")
+        call(tmp_path, f"--speed={speed}")
     assert done.value.code == 2
     assert f"{speed} is not a number above 0" in capsys.readouterr().err
 
 
-def test_out_that_is_a_file(monkeypatch, capsys, tmp_path):
+def test_out_that_is_a_file(call, capsys, tmp_path):
     folder = ecd(tmp_path / "e", "0.1 1 1 1\n")
     (tmp_path / "file").touch()
-    code = call(monkeypatch, folder, "--out", tmp_path / "file" / "out")
+    code = call(folder, "--out", tmp_path / "file" / "out")
     assert_line(capsys, code, "cannot be made", "--out")
 
 
 def test_stride_and_overrides_reach_the_configuration():
-    options = evaluate_command._parse(
+    options = evaluate_command.parse(
         ["x", "--window-ms", "50", "--stride-ms", "25", "--set", "estimator.max_events=2000"]
     )
     assert overrides(options) == {

@@ -1,23 +1,18 @@
 """The executable on a simulated recording, with the real estimator."""
 
 import json
+from itertools import count
 
 import numpy as np
 import pytest
 
-from emoflow_ros.evaluation import evaluate_command, window_run
-from emoflow_ros.evaluation.estimates_file import read_estimates
+from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate_command.main()
-
-
-def test_bag_to_report(monkeypatch, capsys, tmp_path, calm_bag):
+def test_bag_to_report(call, capsys, tmp_path, calm_bag):
     out = tmp_path / "out"
     truth = ("--gt", calm_bag.truth, calm_bag.flow)
-    assert call(monkeypatch, calm_bag.data, *truth, "--out", out, "--save-flow") == 0
+    assert call(calm_bag.data, *truth, "--out", out, "--save-flow") == 0
     report = json.loads((out / "report.json").read_text())
     assert report["windows_ok"] == 6
     assert report["topic"] == "/davis/left/events"
@@ -38,22 +33,24 @@ def test_bag_to_report(monkeypatch, capsys, tmp_path, calm_bag):
 
 
 @pytest.mark.usefixtures("without_page")
-def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, calm_bag):
+def test_killed_run_is_continued_exactly(monkeypatch, call, tmp_path, calm_bag):
     """The real estimator's memory survives the checkpoint: bitwise the same estimates."""
     options = (calm_bag.data, "--window-ms", 60, "--stride-ms", 30, "--tracks", 20)
-    assert call(monkeypatch, *options, "--out", tmp_path / "whole") == 0
-    monkeypatch.setattr("emoflow_ros.evaluation.run_progress._PERIOD_S", 0.0)
+    assert call(*options, "--out", tmp_path / "whole") == 0
+    monkeypatch.setattr("emoflow_ros.evaluation.run_progress.PERIOD_S", 0.0)
 
-    def killed(progress, *rest, done=window_run._process):
-        if len(progress.windows) == 6:
+    calls = count(1)
+
+    def interrupted(writer, *values, append=EstimatesWriter.append):
+        if next(calls) == 7:
             raise KeyboardInterrupt
-        done(progress, *rest)
+        append(writer, *values)
 
     with monkeypatch.context() as patched:
-        patched.setattr(window_run, "_process", killed)
-        assert call(monkeypatch, *options, "--out", tmp_path / "parts") == 130
+        patched.setattr(EstimatesWriter, "append", interrupted)
+        assert call(*options, "--out", tmp_path / "parts") == 130
     assert len(read_estimates(tmp_path / "parts" / "estimates.h5")) == 6
-    assert call(monkeypatch, *options, "--out", tmp_path / "parts", "--resume") == 0
+    assert call(*options, "--out", tmp_path / "parts", "--resume") == 0
 
     whole, parts = (
         read_estimates(tmp_path / name / "estimates.h5").columns for name in ("whole", "parts")
@@ -63,12 +60,12 @@ def test_killed_run_is_continued_exactly(monkeypatch, tmp_path, calm_bag):
         np.testing.assert_array_equal(parts[name], whole[name])
 
 
-def test_tracks_follow_the_true_displacement(monkeypatch, tmp_path, calm_bag):
+def test_tracks_follow_the_true_displacement(call, tmp_path, calm_bag):
     """Points that are carried through four windows, against the truth carried the same way."""
     out = tmp_path / "out"
     truth = ("--gt", calm_bag.truth, calm_bag.flow)
     cut = ("--window-ms", 90, "--stride-ms", 90, "--set", "window.max_displacement_px=0")
-    assert call(monkeypatch, calm_bag.data, *truth, *cut, "--tracks", 60, "--out", out) == 0
+    assert call(calm_bag.data, *truth, *cut, "--tracks", 60, "--out", out) == 0
     report = json.loads((out / "report.json").read_text())
     last = [w for w in report["windows"] if w["compared_tracks"]][-1]
     assert last["compared_tracks"] > 45
@@ -87,25 +84,25 @@ def test_tracks_follow_the_true_displacement(monkeypatch, tmp_path, calm_bag):
 
 
 @pytest.mark.usefixtures("without_page")
-def test_first_windows_alone(monkeypatch, tmp_path, calm_bag):
+def test_first_windows_alone(call, tmp_path, calm_bag):
     out = tmp_path / "out"
-    assert call(monkeypatch, calm_bag.data, "--max-windows", 2, "--out", out) == 0
+    assert call(calm_bag.data, "--max-windows", 2, "--out", out) == 0
     assert json.loads((out / "report.json").read_text())["windows_total"] == 2
     assert len(read_estimates(out / "estimates.h5")) == 2
 
 
-def test_too_long_a_window(monkeypatch, capsys, tmp_path, calm_bag):
-    code = call(monkeypatch, calm_bag.data, "--window-ms", 500, "--out", tmp_path / "out")
+def test_too_long_a_window(call, capsys, tmp_path, calm_bag):
+    code = call(calm_bag.data, "--window-ms", 500, "--out", tmp_path / "out")
     assert code == 2
     error = capsys.readouterr().err
     assert "less than one window; give a shorter one with --window-ms" in error
 
 
 @pytest.mark.usefixtures("without_page")
-def test_mvsec_protocol_on_the_truths_stamps(monkeypatch, tmp_path, calm_bag):
+def test_mvsec_protocol_on_the_truths_stamps(call, tmp_path, calm_bag):
     out = tmp_path / "out"
     arguments = ("--gt", calm_bag.truth, calm_bag.flow, "--protocol", "mvsec-dt1", "--out", out)
-    assert call(monkeypatch, calm_bag.data, *arguments) == 0
+    assert call(calm_bag.data, *arguments) == 0
     report = json.loads((out / "report.json").read_text())
     assert "mvsec-dt1: from every ground-truth stamp" in report["protocol"]
     lengths = {round(w["t_end_s"] - w["t_start_s"], 6) for w in report["windows"]}

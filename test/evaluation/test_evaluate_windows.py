@@ -12,11 +12,6 @@ from emoflow_ros.labels import label_command
 MOST = "window.max_displacement_px"
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
-    return evaluate_command.main()
-
-
 def windows_of(parse, *arguments):
     """Parse a command line and return (duration, stride, bound) of its windows, ms and px."""
     options = parse(["x", *arguments])
@@ -25,10 +20,10 @@ def windows_of(parse, *arguments):
 
 
 def parse_label(arguments):
-    return label_command._parse([*arguments, "--out", "labels"])
+    return label_command.parse([*arguments, "--out", "labels"])
 
 
-@pytest.mark.parametrize("parse", [evaluate_command._parse, parse_label])
+@pytest.mark.parametrize("parse", [evaluate_command.parse, parse_label])
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -47,16 +42,6 @@ def test_window_ms_takes_whole_windows_one_after_another(parse, arguments, expec
     assert windows_of(parse, *arguments) == expected
 
 
-@pytest.mark.parametrize("parse", [evaluate_command._parse, parse_label])
-def test_help_says_which_windows_come_of_it(parse, capsys):
-    with pytest.raises(SystemExit):
-        parse(["--help"])
-    text = " ".join(capsys.readouterr().out.split())
-    assert "whole windows of this length" in text
-    assert f"unless --set {MOST}=PX" in text
-    assert "default: the length given with --window-ms, else the profile's stride" in text
-
-
 MISSED = pytest.mark.xfail(
     raises=AssertionError, strict=True, reason="4.001 degrees of 4; claimed to about 4 degrees"
 )
@@ -65,13 +50,13 @@ MISSED = pytest.mark.xfail(
 @pytest.mark.parametrize(("name", "window_ms"), [
     ("shapes_rotation", 98), pytest.param("dynamic_rotation", 21, marks=MISSED),
 ])  # fmt: skip
-def test_axis_of_the_rotation_in_ecd(monkeypatch, tmp_path, shared_data, name, window_ms):
+def test_axis_of_the_rotation_in_ecd(call, tmp_path, shared_data, name, window_ms):
     """The command that a user types for one short window, on the whole path to the report."""
     folder = shared_data / "ecd" / name
     if not folder.is_dir():
         pytest.skip(f"no recording {folder}")
     options = ("--window-ms", window_ms, "--set", "estimator.max_doubt=1", "--out", tmp_path)
-    assert call(monkeypatch, folder, *options) == 0
+    assert call(folder, *options) == 0
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["configuration"][MOST] == 0
     (window,) = report["windows"]

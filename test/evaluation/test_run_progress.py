@@ -77,7 +77,7 @@ def test_continued_run_equals_an_uninterrupted_one(
     whole = read_estimates(tmp_path / "whole.h5").columns
     assert len(whole["t"]) == 48
 
-    monkeypatch.setattr("emoflow_ros.evaluation.run_progress._PERIOD_S", period)
+    monkeypatch.setattr("emoflow_ros.evaluation.run_progress.PERIOD_S", period)
     checkpoint = Checkpoint(tmp_path / "c.pickle", {"input": "e"})
     progress = new_progress()
     if period:  # saved once, after nothing was done

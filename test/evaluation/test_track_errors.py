@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from constant_flow import ConstantFlow
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Quality, Status
@@ -11,17 +12,6 @@ from emoflow_ros.truth import TrueFlow, Truth
 CAMERA = Camera(120, 90, 100.0, 100.0, 59.5, 44.5)
 MS = 1_000_000
 START = 5_000_000_000
-
-
-class ConstantFlow:
-    """The same velocity (px/s) everywhere."""
-
-    def __init__(self, velocity):
-        self.velocity = np.array(velocity, float)
-
-    def tracks(self, points, times):
-        since = (np.array(times) - times[0]) / 1e9
-        return points + since[:, None, None] * self.velocity
 
 
 class ConstantTruth:

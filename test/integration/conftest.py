@@ -15,6 +15,8 @@ pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_
 from harness import Peer, Processes  # noqa: E402
 from shared_node import SharedNode  # noqa: E402
 
+from emoflow_ros.node.supervisor import FACTORY  # noqa: E402
+
 
 @pytest.fixture
 def peer() -> Iterator[Peer]:
@@ -39,3 +41,17 @@ def recorder(recorder_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
     """The node with the fake estimator `Recorder`; for the test to `start`, before `peer` ends."""
     yield recorder_node
     recorder_node.stop()
+
+
+@pytest.fixture(scope="module")
+def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
+    with Processes(tmp_path_factory.mktemp("real")) as made:
+        # The machine may be busy; and no window is withheld.
+        yield SharedNode(made, FACTORY, "input.queue_windows:=50", "estimator.max_doubt:=1.0")
+
+
+@pytest.fixture
+def node(real_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
+    """The node with the real estimator; for the test to `start`, before `peer` ends."""
+    yield real_node
+    real_node.stop()

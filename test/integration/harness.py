@@ -270,3 +270,9 @@ class Processes:
                 except subprocess.TimeoutExpired:
                     continue
             print(f"--- {process.args}\n{self.output(process)}")  # shown if the test fails
+
+
+def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
+    """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
+    for t in range(first_ms, last_ms, 5):
+        peer.publish_events(t * MS, x=x)

@@ -24,7 +24,6 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import Events, WindowSlicer
-from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
@@ -118,12 +117,6 @@ def expected(recording: SimulatedRecording) -> list[Estimate]:
     return [estimator.estimate(w) for w in WindowSlicer(config.window).push(recording.events)]
 
 
-@pytest.fixture(scope="module")
-def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
-    with Processes(tmp_path_factory.mktemp("real")) as made:
-        yield SharedNode(made, FACTORY, "input.queue_windows:=50", "estimator.max_doubt:=1.0")
-
-
 def twists(peer: Peer) -> tuple[list[int], np.ndarray]:
     """Stamps in ns, and (N, 6) of linear and angular velocity."""
     stamps = [t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in peer.twists]
@@ -135,13 +128,6 @@ def twists(peer: Peer) -> tuple[list[int], np.ndarray]:
 def peer(message_type: Any, reliability: ReliabilityPolicy) -> Iterator[Peer]:
     with Peer(TOPIC, message_type, reliability) as made:
         yield made
-
-
-@pytest.fixture
-def node(real_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
-    """The node with the real estimator; for the test to `start`, before `peer` ends."""
-    yield real_node
-    real_node.stop()
 
 
 @pytest.mark.parametrize(
@@ -240,7 +226,7 @@ def test_type_that_is_not_installed_names_its_package(processes: Processes) -> N
         peer.spin_until(lambda: "is not installed" in peer.status()["message"], "the refusal")
         assert (
             "prophesee_event_msgs/msg/EventArray: the message package prophesee_event_msgs is not "
-            "installed; install ros-jazzy-prophesee-event-msgs or build prophesee_event_msgs"
+            "installed; build prophesee_event_msgs in your workspace, source its setup file"
         ) in processes.output(node)
         assert peer.events.get_subscription_count() == 0
         assert node.poll() is None

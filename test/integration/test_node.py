@@ -9,7 +9,17 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from harness import CAMERA, MS, WAIT_S, Peer, Processes, children, contention, wait_for
+from harness import (
+    CAMERA,
+    MS,
+    WAIT_S,
+    Peer,
+    Processes,
+    children,
+    contention,
+    run_windows,
+    wait_for,
+)
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from shared_node import NAME, SharedNode
@@ -27,12 +37,6 @@ def stamp(message: object) -> int:
 def stamp_ms(peer: Peer) -> int:
     """Stamp of the latest twist, 0 without any."""
     return stamp(peer.twists[-1]) // MS if peer.twists else 0
-
-
-def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
-    """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
-    for t in range(first_ms, last_ms, 5):
-        peer.publish_events(t * MS, x=x)
 
 
 def test_twist_holds_what_the_estimator_said(peer: Peer, recorder: SharedNode) -> None:

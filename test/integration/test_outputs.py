@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
-from harness import CAMERA, MS, WAIT_S, Peer, Processes
+from harness import CAMERA, MS, WAIT_S, Peer, Processes, run_windows
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Image
 from shared_node import SharedNode
@@ -55,12 +55,6 @@ def start(peer: Peer, recorder: SharedNode) -> Start:
         return recorder
 
     return make
-
-
-def run_windows(peer: Peer, first_ms: int, last_ms: int, x: int = 0) -> None:
-    """Publish 5 events every 5 ms: 10 in each window of 10 ms."""
-    for t in range(first_ms, last_ms, 5):
-        peer.publish_events(t * MS, x=x)
 
 
 def test_killed_worker_costs_one_window_and_one_line(peer: Peer, processes: Processes) -> None:

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
@@ -18,7 +17,6 @@ from shared_node import SharedNode, Values
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.evaluation.estimates_file import read_estimates
-from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.node.twist_output import to_ns
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
@@ -89,20 +87,6 @@ def stamps(peer: Peer) -> list[int]:
 def image_stamp(peer: Peer) -> int:
     stamp = peer.images[-1].header.stamp
     return stamp.sec * 10**9 + stamp.nanosec
-
-
-@pytest.fixture(scope="module")
-def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
-    with Processes(tmp_path_factory.mktemp("real")) as made:
-        # The machine may be busy; and no window is withheld.
-        yield SharedNode(made, FACTORY, "input.queue_windows:=50", "estimator.max_doubt:=1.0")
-
-
-@pytest.fixture
-def node(real_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
-    """The node with the real estimator; for the test to `start`, before `peer` ends."""
-    yield real_node
-    real_node.stop()
 
 
 def start(

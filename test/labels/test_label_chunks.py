@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.events import Events, WindowPolicy, WindowSlicer
-from emoflow_ros.labels.label_chunks import Chunk, _windows
+from emoflow_ros.labels.label_chunks import Chunk, chunk_windows
 from emoflow_ros.labels.label_run import event_span, plan_chunks
 from emoflow_ros.readers import open_recording
 
@@ -46,7 +46,7 @@ def test_same_windows_as_one_run(seed, stride_ms, chunk_s, margin_s):
     chunks = plan_chunks((int(t[0]), int(t[-1])), policy, chunk_s, margin_s)
     found = []
     for chunk in chunks:
-        windows = [identify(w) for w in _windows(Stream(t), chunk.intervals(policy))]
+        windows = [identify(w) for w in chunk_windows(Stream(t), chunk.intervals(policy))]
         warm_up = [w for w in windows if w[0] < chunk.start]
         assert warm_up == [w for w in expected if w[0] < chunk.start][len(found) - len(warm_up) :]
         found += windows[len(warm_up) :]
@@ -74,7 +74,7 @@ def test_no_more_is_read_than_the_chunk():
     stream = Stream(START + np.arange(100_000, dtype=np.int64) * MS)
     policy = WindowPolicy(duration_ms=100.0)
     chunk = plan_chunks((START, START + 99_999 * MS), policy, 10.0, 1.0)[3]
-    assert len(list(_windows(stream, chunk.intervals(policy)))) == 110
+    assert len(list(chunk_windows(stream, chunk.intervals(policy)))) == 110
     assert 11_000 <= stream.read <= 11_100
 
 

@@ -40,6 +40,7 @@ class FakeNode:
         self.now = 0
         self.log: list[tuple[str, str]] = []
         self.sent: list[bytes] = []
+        self.timers: list[Any] = []
 
     def get_logger(self) -> Any:
         def level(name: str) -> Any:
@@ -59,7 +60,8 @@ class FakeNode:
         del self.publishers[topic]
 
     def create_timer(self, period_s: float, callback: Any, clock: Any) -> Any:
-        return SimpleNamespace(cancel=lambda: None, reset=lambda: None, fire=callback)
+        self.timers.append(SimpleNamespace(cancel=lambda: None, reset=lambda: None, fire=callback))
+        return self.timers[-1]
 
     def create_subscription(self, message_type: Any, topic: str, *args: Any, **kwargs: Any) -> Any:
         """A polled one: `sent` holds what has come on any topic."""

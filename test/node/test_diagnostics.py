@@ -3,6 +3,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from fake_clock import Clock
 
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events, Window
@@ -13,13 +14,6 @@ from emoflow_ros.node.tasks import Loss, Result, Task
 def some_events(count: int) -> Events:
     zeros = np.zeros(count, np.uint16)
     return Events(zeros, zeros, np.arange(count, dtype=np.int64), zeros.astype(bool))
-
-
-class Clock:
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture

@@ -7,6 +7,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
+from fake_clock import Clock
+
 from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.gyro import Gyro
@@ -21,13 +23,6 @@ S = 1_000_000_000
 START = 1_500_000_000 * S
 ENCODER = MessageEncoder(ros1=False)
 CONFIG = GyroConfig(use="auto")
-
-
-class Clock:
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Bench:

@@ -75,7 +75,8 @@ class Bench:
         for ms in range(first_ms, last_ms):
             sample = ImuSample(np.array([ms, 0.0, 0.0]), np.zeros(3))
             self.node.sent.append(ENCODER.imu(ms * MS, sample))
-        self.pipeline.imu._release()  # as the timer does
+        fetching, _ = self.node.timers
+        fetching.fire()
 
     def answer(self, job: Job, gyro: GyroStatus) -> None:
         window = job.task.window
@@ -104,7 +105,8 @@ def test_a_window_that_waits_is_handed_on_by_the_timer(monkeypatch) -> None:
     bench.events(1000, 1011)
     assert bench.supervisor.jobs() == []
     bench.pipeline.imu._input._clock = lambda: 1e12
-    bench.pipeline.imu._looking.fire()
+    _, looking = bench.node.timers
+    looking.fire()
     [job] = bench.supervisor.jobs()
     assert job.task.window.gyro.t[-1] == 1004 * MS
 

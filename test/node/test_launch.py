@@ -1,4 +1,9 @@
-"""The launch files' arguments, as parameters of the node and what is started beside it."""
+"""The launch files' arguments, as parameters of the node and what is started beside it.
+
+The packages launch and launch_ros are replaced whole, because the wheels have none. So these tests
+cannot see whether launch accepts the calls and their keywords, how it substitutes and overrides
+arguments, whether an included file gets them, and whether the processes start and end.
+"""
 
 import runpy
 import sys

@@ -111,10 +111,10 @@ class Eavesdropper:
 
 
 def test_worker_is_sent_names_and_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    supervisor = Supervisor(capacity=1, timeout_s=1.0, may_use_cpu=False, wake=lambda: None)
     wire = Eavesdropper()
-    monkeypatch.setattr(supervisor, "_worker", wire)
-    supervisor._configure(Camera(64, 48, 50.0, 50.0, 32.0, 24.0), Config())
+    monkeypatch.setattr("emoflow_ros.node.supervisor.WorkerProcess", lambda *args: wire)
+    supervisor = Supervisor(capacity=1, timeout_s=1.0, may_use_cpu=False, wake=lambda: None)
+    supervisor.check(Config())
     [header] = wire.headers
     assert header["kind"] == "configure"
     values = [*header["config"].values(), *header["camera"].values()]

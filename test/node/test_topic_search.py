@@ -1,3 +1,4 @@
+import sys
 from typing import Any
 
 import pytest
@@ -149,9 +150,19 @@ def test_what_cannot_be_decided_is_asked(
         find(topics, **kwargs)
 
 
-def test_type_that_is_not_installed_is_named() -> None:
-    with pytest.raises(InputError, match="install ros-jazzy-odd-event-msgs or build"):
-        import_message_type("odd_event_msgs/msg/Odd")
+@pytest.mark.parametrize(
+    ("package", "fix"),
+    [
+        ("odd_event_msgs", "build odd_event_msgs in your workspace, source"),
+        ("event_camera_msgs", "install ros-jazzy-event-camera-msgs, source"),
+    ],
+)
+def test_type_that_is_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch, package: str, fix: str
+) -> None:
+    monkeypatch.setitem(sys.modules, f"{package}.msg", None)
+    with pytest.raises(InputError, match=f"the message package {package} is not .*; {fix}"):
+        import_message_type(f"{package}/msg/Odd")
 
 
 def test_installed_type_is_imported() -> None:

@@ -6,6 +6,7 @@ import h5py
 import hdf5plugin
 import numpy as np
 import pytest
+from event_bags import assert_equal
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
@@ -45,13 +46,6 @@ def index_of(t_us: np.ndarray) -> np.ndarray:
 def read_all(path: Path, since: int | None = None, **options) -> Events:
     with open_recording(path, **options) as recording:
         return Events.concatenate(list(recording.event_chunks(since)))
-
-
-def assert_equal(read: Events, expected: Events) -> None:
-    for name in ("x", "y", "t", "p"):
-        got, want = getattr(read, name), getattr(expected, name)
-        assert got.dtype == want.dtype
-        np.testing.assert_array_equal(got, want, err_msg=name)
 
 
 @pytest.mark.parametrize(

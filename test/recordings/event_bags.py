@@ -27,7 +27,16 @@ def make_events(n: int, width: int = 32, height: int = 24, start_s: float = 1.0)
     )
 
 
-def _store(ros1: bool):
+def assert_equal(read: Events, expected: Events) -> None:
+    """Assert that two arrays of events hold the same, in the same types."""
+    for name in ("x", "y", "t", "p"):
+        got, want = getattr(read, name), getattr(expected, name)
+        assert got.dtype == want.dtype
+        np.testing.assert_array_equal(got, want, err_msg=name)
+
+
+def typestore(ros1: bool):
+    """Types of ROS 1 Noetic or ROS 2 Jazzy, and dvs_msgs."""
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
     for name, text in _DEFINITIONS.items():
         types.register(get_types_from_msg(text, name))
@@ -69,7 +78,7 @@ def write_event_bag(
 ) -> Path:
     """Write a bag: `storage` is ros1, sqlite3 or mcap, `log_times` are in ns."""
     ros1 = storage == "ros1"
-    types = _store(ros1)
+    types = typestore(ros1)
     if ros1:
         writer = rosbag1.Writer(path)
     else:

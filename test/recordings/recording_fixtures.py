@@ -36,7 +36,7 @@ def _simulated(tmp_path_factory, scene: str) -> OutputPaths:
 @pytest.fixture
 def without_page(monkeypatch):
     """Leave the page of a report empty: it takes seconds to draw; report.json and the rest stay."""
-    monkeypatch.setattr("emoflow_ros.report.report_writer._html", lambda *_: "")
+    monkeypatch.setattr("emoflow_ros.report.report_writer.render_page", lambda *_: "")
 
 
 @pytest.fixture

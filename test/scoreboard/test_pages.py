@@ -8,7 +8,7 @@ import pytest
 from scoreboard_tables import random_table, row
 
 from benchmarks.scoreboard import report, simulated_subjects
-from benchmarks.scoreboard.__main__ import _seeds
+from benchmarks.scoreboard.__main__ import parse_seeds
 from benchmarks.scoreboard.figures import figures_of
 from benchmarks.scoreboard.picture import event_picture
 from benchmarks.scoreboard.run import Outcome, save_windows, severity
@@ -88,9 +88,9 @@ def test_recordings_that_are_not_there_say_so(tmp_path):
 
 @pytest.mark.parametrize("text", ["5", "5:5", "a:b", "-1:4"])
 def test_seeds_are_a_range(text):
-    assert _seeds("3:6") == range(3, 6)
+    assert parse_seeds("3:6") == range(3, 6)
     with pytest.raises(InputError, match="--seeds"):
-        _seeds(text)
+        parse_seeds(text)
 
 
 def test_random_recordings_are_simulated_once(tmp_path, monkeypatch):

@@ -275,7 +275,7 @@ def test_bags_hold_it(mover, tmp_path, ros1) -> None:
 
 def test_executable_takes_the_options(monkeypatch, tmp_path) -> None:
     words = ("simulate", "static", "--out", tmp_path, "--duration", "0.01", "--seed", "4")
-    words = (*words, "--imu-perfect", "--imu-rate", "500", "--imu-yaw", "90", "--imu-bias", "2")
+    words = (*words, "--imu-perfect", "--imu-rate-hz", "500", "--imu-yaw", "90", "--imu-bias", "2")
     monkeypatch.setattr("sys.argv", [str(word) for word in words])
     assert executable.main() == 0
     with open_recording(tmp_path / "static_data.bag") as recording:

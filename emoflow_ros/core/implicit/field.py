@@ -62,13 +62,14 @@ class CoordinateMLP(nn.Module):
         Returns:
             (N, 2) px/s, u right and v down.
         """
-        inputs = self._encode(torch.cat([t[:, None], x], dim=1))
+        inputs = self.encode(torch.cat([t[:, None], x], dim=1))
         h = torch.relu(self.hidden[0](inputs))
         for i, layer in enumerate(self.hidden[1:], start=1):
             h = h + torch.relu(layer(torch.cat([h, inputs], dim=1) if i == self.skip else h))
         return self.output(h) * self.output_scale
 
-    def _encode(self, coordinates: Tensor) -> Tensor:
+    def encode(self, coordinates: Tensor) -> Tensor:
+        """Scale coordinates (N, 3) of time and pixel, and append their sines and cosines."""
         coordinates = (coordinates - self.centre) * self.scale
         phases = (coordinates[:, :, None] * self.octaves).flatten(1)
         return torch.cat([coordinates, phases.sin(), phases.cos()], dim=1)

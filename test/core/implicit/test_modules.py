@@ -42,13 +42,13 @@ def test_input_enters_again_at_layer_five_of_eight() -> None:
 
 def test_corners_of_the_window_are_normalised_to_one() -> None:
     field = make_field(FieldConfig(layers=1, width=4))
-    encoded = field._encode(torch.tensor([[0.0, 0.0, 0.0], [0.09, 345.0, 259.0]]))
+    encoded = field.encode(torch.tensor([[0.0, 0.0, 0.0], [0.09, 345.0, 259.0]]))
     torch.testing.assert_close(encoded, torch.tensor([[-1.0, -1, -1], [1, 1, 1]]))
 
 
 def test_encoding_doubles_the_frequency_with_each_octave() -> None:
     field = make_field(FieldConfig(layers=1, width=4, octaves=2))
-    encoded = field._encode(torch.tensor([[0.0675, 172.5, 129.5]]))[0]
+    encoded = field.encode(torch.tensor([[0.0675, 172.5, 129.5]]))[0]
     t = 0.5
     sines = [math.sin(math.pi * t), math.sin(2 * math.pi * t)]
     cosines = [math.cos(math.pi * t), math.cos(2 * math.pi * t)]
@@ -70,7 +70,7 @@ def test_forward_agrees_with_the_network_written_out() -> None:
 def test_raw_field_is_fed_seconds_and_pixels() -> None:
     field = make_field(FieldConfig(layers=1, width=4, normalised=False))
     raw = torch.tensor([[0.02, 100.0, 40.0]])
-    torch.testing.assert_close(field._encode(raw), raw)
+    torch.testing.assert_close(field.encode(raw), raw)
     with pytest.raises(InputError, match="6 octaves of coordinates that are not in"):
         FieldConfig(octaves=6, normalised=False)
 
