@@ -112,14 +112,16 @@ missing() {
 }
 
 stamp=$ROOT/stamp
-if [ -f "$stamp" ] && cmp -s "$stamp" <(cat "$0" requirements-messages.lock) || [ -z "$(missing)" ]; then
+if [ -f "$stamp" ] && cmp -s "$stamp" <(cat "$0" requirements-messages.lock) &&
+    [ -z "$(missing)" ]; then
     exit 0
 fi
+rm -rf "$ROOT" # an earlier build would hide what is installed
+mapfile -t needed < <(missing)
+[ ${#needed[@]} -gt 0 ] || exit 0
 command -v cmake >/dev/null || fail "no cmake found; install cmake"
 command -v "${CXX:-c++}" >/dev/null || fail "no C++ compiler found; install g++"
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE VIRTUAL_ENV
-rm -rf "$ROOT"
-mapfile -t needed < <(missing) # now also those that an earlier build had made
 echo "setup: test messages (${needed[*]})"
 mkdir -p "$ROOT"
 touch "$ROOT/COLCON_IGNORE"

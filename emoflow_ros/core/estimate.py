@@ -144,9 +144,9 @@ class Estimate:
     @property
     def by_events(self) -> Status:
         """What the events gave: `status`, unless the gyro alone tells the motion (status OK)."""
-        reasons = {str(status) for status in Status}
         reason = self.quality.stop_reason
-        return Status(reason) if reason in reasons else self.status
+        by_gyro = self.status is Status.OK and reason in {str(status) for status in Status}
+        return Status(reason) if by_gyro else self.status
 
     @property
     def translation_observable(self) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import ImageContrast, WindowEvents
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler
+from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
@@ -42,7 +42,8 @@ class MotionWindows:
     came, measures the displacement. The last part's events and displacement tell how many events
     `max_displacement_px` pixels make, and the next part has so many. Such a part is short if the
     camera is fast, and long if events are few. Its length depends only on the windows so far. A
-    part never begins before the last one with an estimate, so the estimates' times increase.
+    part never begins before the last one with a flow, nor so early that its middle is not after
+    that of the last estimate. So the estimates' times increase.
 
     A displacement is the length of the path: a camera that shakes leaves events on its way back,
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its
@@ -76,6 +77,7 @@ class MotionWindows:
         self._count: int | None = None
         self._failures = 0
         self._start: int | None = None
+        self._t: int | None = None  # time of the last estimate without a flow, ns
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to the latest part of a window."""
@@ -89,6 +91,8 @@ class MotionWindows:
             part = window.since(self._choose_start(window, count))
             estimate = self._estimator.estimate(part)
         if estimate.flow is None:
+            if estimate.status is Status.OK:
+                self._t = estimate.t
             self._count = None
             self._failures += 1
             return estimate
@@ -118,6 +122,8 @@ class MotionWindows:
         start = int(events.t[first]) if first > 0 else window.t_start
         if self._start is not None:
             start = max(start, self._start)
+        if self._t is not None:
+            start = max(start, 2 * self._t + 2 - window.t_end)
         return min(start, window.t_end - 1)
 
     def _next_count(self, flow: FlowSampler, change_px: float, part: Window) -> int:

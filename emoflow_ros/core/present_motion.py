@@ -46,7 +46,7 @@ _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 class _Scene:
     """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and the scene.
 
-    `known` is None where the window's flow was doubtful. `gyro` is the gyro's angular velocity at
+    `known` is None where the window had no flow. `gyro` is the gyro's angular velocity at
     t, or None.
     """
 
@@ -93,7 +93,8 @@ class PresentMotion:
     def estimate(self, window: Window) -> PresentTwist | None:
         """Estimate the motion at the end of a slice of events.
 
-        After a window whose flow was doubtful, the gyro alone carries its motion on.
+        After a window without a flow (doubtful, or by the gyro alone) the gyro carries its motion
+        on.
 
         Args:
             window: the newest SLICE_MS of the events. Where fast motion has made the estimate's
@@ -101,7 +102,7 @@ class PresentMotion:
 
         Returns:
             None without an estimate of the last 300 ms to start from, and with too few events or,
-            after a doubtful flow, without readings of the gyro from the last 20 ms.
+            after a window without a flow, without readings of the gyro from the last 20 ms.
         """
         scene = self._scene
         if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:

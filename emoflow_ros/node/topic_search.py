@@ -17,8 +17,8 @@ SETTLING_S = 1.0
 # Lidars publish this type, too. Such a topic is taken only if the user names it.
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
-# The one message package of event cameras that has a Debian package for Jazzy.
-_RELEASED = "event_camera_msgs"
+# Message packages that have no Debian package for Jazzy.
+_UNRELEASED = ("dvs_msgs", "event_array_msgs", "prophesee_event_msgs")
 
 
 @dataclass(frozen=True, order=True)
@@ -151,8 +151,8 @@ def import_message_type(ros_type: str) -> Any:
     """
     package, _, name = ros_type.split("/")
     fix = f"build {package} in your workspace"
-    if package == _RELEASED:
-        fix = f"install ros-jazzy-{package.replace('_', '-')}"
+    if package not in _UNRELEASED:
+        fix = f"install ros-jazzy-{package.replace('_', '-')} or {fix}"
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):

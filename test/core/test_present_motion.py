@@ -11,8 +11,10 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, PresentTwist, Statu
 from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, Window, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, fit_shape
+from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.core.reading import with_gyro as gyro_tells
 from emoflow_ros.core.thinning import spread
 from emoflow_ros.simulation.recording import SimulatedRecording
 from emoflow_ros.simulation.simulate import simulate
@@ -174,6 +176,30 @@ def test_after_a_doubtful_flow_the_gyro_alone_carries_the_motion_on() -> None:
     assert present.estimate(replace(late, gyro=stale)) is None
     frozen = GyroReadings(late.gyro.t, np.ones_like(late.gyro.w))
     assert present.estimate(replace(late, gyro=frozen)) is None
+
+
+def test_after_a_window_by_the_gyro_alone_the_gyro_tells_w_and_nothing_tells_v() -> None:
+    its, estimate = last("agile")
+    bias = np.radians([3.0, -2.0, 1.0])
+    used = GyroStatus(GyroState.USED)
+    nothing = replace(estimate, status=Status.NO_MOTION, flow=None, gyro=used)
+    window = with_gyro(
+        Window(estimate.t_start, estimate.t_end, its.recording.events[:0]), its, bias
+    )
+    assert window.gyro is not None
+    shape = fit_shape(window.gyro, window.t_start, window.t_end).coefficients
+    shape[0] -= bias
+    covariances = np.tile(1e-6 * np.eye(3), (3, 1, 1))
+    measured = GyroMeasurement(window.t_start, window.t_end, shape, covariances)
+    present = its.present()
+    present.know(gyro_tells(nothing, measured, LatticeConfig()), window.gyro)
+    t = estimate.t_end + LATE_NS
+    found = present.estimate(with_gyro(its.slice(t), its, bias))
+    assert found is not None
+    assert degrees(found.twist.angular - its.angular(t)) < 0.5
+    assert degrees(its.angular(estimate.t) - its.angular(t)) > 5
+    np.testing.assert_array_equal(found.twist.linear, 0)
+    assert found.covariance[0, 0] == -1
 
 
 def test_with_a_gyro_a_doubtful_window_still_tells_w() -> None:

@@ -67,7 +67,7 @@ def test_start_on_a_simulated_recording(call, capsys, tmp_path, calm_bag):
     assert cold["name"].startswith("cold")
     summary = json.loads((out / "report.json").read_text())["summary"]
     assert warm["epe_px"] == summary["epe_px"]["value"]  # the run itself, not run again
-    assert warm["windows_ok"] == cold["windows_ok"] == 6
+    assert warm["windows_ok"] == cold["windows_ok"] == 4
     assert cold["epe_px"] != warm["epe_px"]
     assert cold["epe_px"] < 1.5
     assert cold["seconds_per_window"] > 0
@@ -85,7 +85,7 @@ def test_parts_of_the_lattice_with_a_moving_object(call, tmp_path, mover_bag, na
     whole, without = rows_of(out)
     assert list(without["overrides"]) == [f"estimator.{option}"]
     for row in (whole, without):
-        assert row["windows_ok"] == 6
+        assert row["windows_ok"] == 4
         assert 0 < row["epe_px"] < 2
         assert 0 < row["angular_rms_deg_s"] < 10
     assert without["epe_px"] != whole["epe_px"]

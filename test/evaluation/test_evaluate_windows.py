@@ -27,14 +27,14 @@ def parse_label(arguments):
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ([], (135.0, 45.0, 20.0)),
+        ([], (135.0, 67.5, 20.0)),
         (["--window-ms", "98"], (98.0, 98.0, 0.0)),
         (["--window-ms", "200"], (200.0, 200.0, 0.0)),
         (["--window-ms", "98", "--stride-ms", "49"], (98.0, 49.0, 0.0)),
         (["--stride-ms", "30"], (135.0, 30.0, 20.0)),
         (["--window-ms", "98", "--set", f"{MOST}=20"], (98.0, 98.0, 20.0)),
         (["--window-ms", "98", "--set", "window.stride_ms=10"], (98.0, 10.0, 0.0)),
-        (["--set", "window.duration_ms=98"], (98.0, 45.0, 20.0)),
+        (["--set", "window.duration_ms=98"], (98.0, 67.5, 20.0)),
         (["--window-ms", "98", "--profile", "paper"], (98.0, 98.0, 0.0)),
     ],
 )

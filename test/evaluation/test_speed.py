@@ -43,7 +43,7 @@ def test_evaluation_keeps_up_with_the_recording(recording, tmp_path):
             began = time.process_time()
             run = evaluate(opened, estimator, WindowSlicer(config.window), truth, writer=writer)
             spent = time.process_time() - began
-    assert len(run.windows) == 42
+    assert len(run.windows) == 28
     assert all(w.ok and w.truth for w in run.windows)
     assert all(w.flow for w in run.windows[:-1])  # the last one ends after the truth's stamps
     assert spent < MOST_PROCESSOR_SECONDS

@@ -170,7 +170,7 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     reliability: ReliabilityPolicy,
     request: pytest.FixtureRequest,
 ) -> None:
-    assert [e.status for e in expected] == [Status.OK] * 8
+    assert [e.status for e in expected] == [Status.OK] * 5
     node.start(peer)
     peer.connect()
     name = message_type.__name__
@@ -185,7 +185,7 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
         peer.spin_for(BATCH / 1e9)
     count = str(sum(map(len, batches)))
     peer.spin_until(lambda: peer.status().get("events") == count, "all events")
-    peer.spin_until(lambda: peer.status()["windows_ok"] == "8", "all windows")
+    peer.spin_until(lambda: peer.status()["windows_ok"] == "5", "all windows")
     peer.spin_until(lambda: twists(peer)[0][-1:] == [expected[-1].t], "the last twist")
 
     encodings = re.findall(r"events are encoded as (\w+)", node.output)
@@ -193,7 +193,7 @@ def test_every_type_gives_the_twists_of_the_same_windows_offline(
     assert encodings == ([named] if hasattr(message_type(), "encoding") else [])
 
     # The node may match this subscriber after its first answer, which then reaches nobody.
-    assert len(peer.twists) >= 7
+    assert len(peer.twists) >= 4
     stamps, values = twists(peer)
     received = expected[-len(stamps) :]
     assert stamps == [e.t for e in received]

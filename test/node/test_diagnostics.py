@@ -23,9 +23,9 @@ def clock() -> Clock:
 
 @pytest.fixture
 def result() -> Callable[..., Result]:
-    def make(received: float, status: Status = Status.OK) -> Result:
+    def make(received: float, status: Status = Status.OK, stop_reason: str = "converged") -> Result:
         task = Task(Window(0, 1, Events.empty()), 0, 0, "", received)
-        quality = Quality(events=1, iterations=17, stop_reason="converged")
+        quality = Quality(events=1, iterations=17, stop_reason=stop_reason)
         return Result(task, Estimate(0, 1, 0, status, quality))
 
     return make
@@ -64,6 +64,10 @@ def test_windows_are_counted_by_status(clock: Clock, result: Callable[..., Resul
         statistics.add_result(result(clock.now, status))
     values = statistics.report(2.0).values
     assert (values["windows_ok"], values["windows_no_motion"]) == ("2", "1")
+    # A twist by the gyro alone counts as what the events gave.
+    statistics.add_result(result(clock.now, Status.OK, "no_motion"))
+    values = statistics.report(2.0).values
+    assert (values["windows_ok"], values["windows_no_motion"]) == ("2", "2")
 
 
 def test_silence_warns_until_events_come(clock: Clock) -> None:

@@ -174,8 +174,8 @@ def test_wraps_of_the_sensor_clock_are_counted_on_over_a_gap() -> None:
 
 def test_what_may_wait_is_a_window_and_the_strides_of_those_that_may_wait() -> None:
     settings = Settings(NodeOptions(), load_config())
-    assert settings.backlog_ns == 180 * MS
-    assert settings.changed({"input.queue_windows": 100}).backlog_ns == 4635 * MS
+    assert settings.backlog_ns == 202_500_000
+    assert settings.changed({"input.queue_windows": 100}).backlog_ns == 6885 * MS
     short = settings.changed({"window.duration_ms": 10.0})
     assert short.backlog_ns == 70 * MS  # a slice of 60 ms is longer
     assert short.changed({"output.twist_rate": 0.0}).backlog_ns == 20 * MS

@@ -153,8 +153,8 @@ def test_what_cannot_be_decided_is_asked(
 @pytest.mark.parametrize(
     ("package", "fix"),
     [
-        ("odd_event_msgs", "build odd_event_msgs in your workspace, source"),
-        ("event_camera_msgs", "install ros-jazzy-event-camera-msgs, source"),
+        ("dvs_msgs", "build dvs_msgs in your workspace, source"),
+        ("odd_msgs", "install ros-jazzy-odd-msgs or build odd_msgs in your workspace, source"),
     ],
 )
 def test_type_that_is_not_installed_is_named(

@@ -81,6 +81,9 @@ def test_a_twist_by_the_gyro_alone_says_what_the_events_gave(
     words = f"ok, translation not observable, by the gyro alone: {reason}"
     assert (report.level, report.message) == (level, words)
     assert report.values["status"] == "ok"
+    lost = replace(result, estimate=replace(result.estimate, status=Status.DIVERGED))
+    report = judge_result(lost, now=0)
+    assert (report.level, report.message) == (Level.ERROR, "diverged")
 
 
 def test_twist_that_is_not_what_was_asked_for_warns(task: Task) -> None:
