@@ -183,10 +183,11 @@ class WindowPolicy:
             )
 
 
-# The slices that the motion of now is estimated from (core.present_motion): their length, and the
-# events that their latest 10 ms may hold (core.thinning).
+# The slices that the motion of now is estimated from (core.present_motion): their length, the
+# events that their latest 10 ms may hold, and the bins in which that is limited (core.thinning).
 SLICE_MS = 60.0
 SLICE_EVENTS = 4_000
+SLICE_BIN_NS = 5 * NS_PER_MS
 
 
 class TimeJumpError(Exception):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.events import NS_PER_MS, Events, Window, WindowPolicy
 
-_BIN_NS = NS_PER_MS  # at most; within it, the order of time is not kept even
+_BIN_NS = NS_PER_MS  # longest bin; within it, the order of time is not kept even
 # Fast motion takes parts of a window that are shorter than the rest. Those down to this length hold
 # max_events events, where so many come.
 _SHORTEST_NS = 10 * NS_PER_MS
@@ -35,16 +35,18 @@ class EventBudget:
     the latest 10 ms of a window may hold max_events, and what is older fewer per time, so that
     every longer part, and the whole window, holds max_events as well.
 
-    The rate of a stream is limited in bins of time of at most 1 ms. All edges of windows are edges
-    of bins, so that a stream and the windows cut from it lose the same events.
+    The rate of a stream is limited in bins of time. All edges of windows are edges of bins, so that
+    a stream and the windows cut from it lose the same events.
 
     Args:
         policy: how windows are cut.
         max_events: that an estimator takes of a window.
+        bin_ns: longest bin, ns; each bin that holds too many events costs about 0.1 ms.
     """
 
     policy: WindowPolicy
     max_events: int
+    bin_ns: int = _BIN_NS
 
     def thin(self, window: Window) -> Window:
         """Return a window with what stays of its events.
@@ -99,7 +101,7 @@ class EventBudget:
         corners = sorted({0, self.policy.duration_ns % stride, stride})
         edges = [0]
         for a, b in pairwise(corners):
-            count = -(-(b - a) // _BIN_NS)
+            count = -(-(b - a) // self.bin_ns)
             edges += [a + k * (b - a) // count for k in range(1, count + 1)]
         return edges
 

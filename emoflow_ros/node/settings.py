@@ -16,7 +16,13 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.events import NS_PER_S, SLICE_EVENTS, SLICE_MS, WindowPolicy
+from emoflow_ros.core.events import (
+    NS_PER_S,
+    SLICE_BIN_NS,
+    SLICE_EVENTS,
+    SLICE_MS,
+    WindowPolicy,
+)
 from emoflow_ros.core.options import (
     OptionInfo,
     option,
@@ -224,7 +230,7 @@ class Settings:
         if rate == 0 or self.config.method != "lattice":
             return None
         policy = WindowPolicy(duration_ms=SLICE_MS, stride_ms=1e3 / rate)
-        return EventBudget(policy, SLICE_EVENTS)
+        return EventBudget(policy, SLICE_EVENTS, SLICE_BIN_NS)
 
     @property
     def backlog_ns(self) -> int:
