@@ -53,7 +53,7 @@ def test_locks_of_one_environment_agree() -> None:
     }
 
 
-@pytest.mark.parametrize("name", LOCKS)
+@pytest.mark.parametrize("name", LOCKS[:2])  # the third is of an environment of its own
 def test_numpy_is_that_of_ubuntu_24_04(name: str) -> None:
     """Packages of /opt/ros/jazzy are built against it, and fail with NumPy 2."""
     pins = dict(line.split("==") for line in (ROOT / f"{name}.lock").read_text().splitlines())
