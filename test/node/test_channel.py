@@ -68,4 +68,4 @@ def test_what_crosses_is_bounded_whatever_comes(rate):
     _, arrays = pack_window(budget.thin(cut))
     assert arrays["x"].size <= budget.capacity < 4.2 * config.estimator.max_events
     size = sum(array.nbytes for array in arrays.values())
-    assert size <= 11 * budget.capacity < 1.3 * 2**20
+    assert size <= 11 * budget.capacity < 1.38e6

@@ -80,7 +80,7 @@ def test_displacement_reprojects_depth_with_opencv(lens: str, scene: str) -> Non
         rays = cv2.fisheye.undistortPoints(pixels, k, d)
     else:
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-        rays = cv2.undistortPoints(pixels, k, d, criteria=criteria)
+        rays = cv2.undistortPointsIter(pixels, k, d, np.eye(3), np.eye(3), criteria)
     points = (
         np.append(rays[:, 0], np.ones((len(rays), 1)), 1) * truth.depth(t0)[rows, columns, None]
     )
