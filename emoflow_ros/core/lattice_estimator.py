@@ -17,7 +17,7 @@ from emoflow_ros.core.contrast import (
     ContrastFactory,
     WindowEvents,
     best_constant_flow,
-)  # fmt: skip
+)
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status

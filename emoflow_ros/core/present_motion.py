@@ -35,9 +35,8 @@ _SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
 _STEPS = 2
 _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
 _GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
-_GYRO_FRESH_NS = (
-    20 * NS_PER_MS
-)  # age of the newest reading, at most, where the gyro alone tells the motion
+# Largest age of the newest reading where the gyro alone tells the motion.
+_GYRO_FRESH_NS = 20 * NS_PER_MS
 _EXPECTED_DRIFT = 0.5  # of the configured one: what most recordings show
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
@@ -46,8 +45,8 @@ _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 class _Scene:
     """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and the scene.
 
-    `known` is None where the window had no flow. `gyro` is the gyro's angular velocity at
-    t, or None.
+    `known` is None where the window had no flow. `gyro` is the gyro's angular velocity at t, or
+    None.
     """
 
     t: int
