@@ -12,11 +12,12 @@ from emoflow_ros.core.events import Events, Window, WindowSlicer
 from emoflow_ros.core.thinning import EventBudget
 
 
-class BoundedSlicer(WindowSlicer):
-    """Cut a stream into thinned windows; the events that are left out are not kept meanwhile.
+class RateLimitedSlicer(WindowSlicer):
+    """Cut a stream into windows of a limited rate; what is left out is not kept meanwhile.
 
-    The windows are those of `WindowSlicer`, thinned by `EventBudget.thin`, however the stream is
-    cut into messages. Windows by count hold as many events as the policy says and are not thinned.
+    The windows are those of `WindowSlicer`, thinned by `EventBudget.limit_rate`, however the stream
+    is cut into messages. Windows by count hold as many events as the policy says and are not
+    thinned.
 
     Args:
         budget: with the window policy.
@@ -47,7 +48,7 @@ class BoundedSlicer(WindowSlicer):
         rest = Events.concatenate(self._parts)
         thinned = int(np.searchsorted(rest.t, self._done or 0))
         self._parts = deque([rest[:thinned], rest[thinned:]])
-        return [self.budget.bound(window) for window in windows]
+        return windows
 
     def _take(self, events: Events) -> None:
         if not self.policy.count:
@@ -75,6 +76,23 @@ class BoundedSlicer(WindowSlicer):
             self.left_out += len(part) - len(stay)
             self._parts.append(stay)
         return events[ended:]
+
+
+class BoundedSlicer(RateLimitedSlicer):
+    """Cut a stream into windows as `EventBudget.thin` would thin them.
+
+    Args:
+        budget: with the window policy.
+    """
+
+    def push(self, events: Events) -> list[Window]:
+        """Take the next events of the stream and return the windows they complete.
+
+        Raises:
+            TimeJumpError: as of `WindowSlicer`.
+        """
+        windows = super().push(events)
+        return windows if self.policy.count else [self.budget.bound(w) for w in windows]
 
 
 class BoundedWindows:

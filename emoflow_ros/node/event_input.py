@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from emoflow_ros.core.bounded_windows import BoundedSlicer
+from emoflow_ros.core.bounded_windows import BoundedSlicer, RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import NS_PER_S, Events, Window
@@ -58,7 +58,7 @@ class EventInput:
         self._last: int | None = None
         self._decoder = make_decoder(ros_type, "cdr")
         self._slicer = BoundedSlicer(budget)
-        self._slices = BoundedSlicer(slices) if slices else None
+        self._slices = RateLimitedSlicer(slices) if slices else None
         self._frame_id = frame_id
         self._statistics = statistics
         self._warn = warn

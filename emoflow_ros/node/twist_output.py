@@ -14,6 +14,7 @@ from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped, Vector3
 from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -68,14 +69,9 @@ class TwistOutput:
         made.callback(self._frame.close)
         self._last = (-1, 0)  # epoch and stamp
         self._twist = make_publisher(node, TwistStamped, "egomotion/twist", made)
-        self._of_windows = make_publisher(
-            node, TwistWithCovarianceStamped, "egomotion/twist_with_covariance", made
-        )
-        self._of_now = (
-            make_publisher(node, TwistWithCovarianceStamped, "egomotion/twist_now", made)
-            if present
-            else None
-        )
+        kind = TwistWithCovarianceStamped
+        self._of_windows = make_publisher(node, kind, "egomotion/twist_with_covariance", made)
+        self._of_now = make_publisher(node, kind, "egomotion/twist_now", made) if present else None
 
     def publish(self, result: Result, factor: float) -> None:
         """Publish a window's twist, its linear part times this factor.
@@ -248,7 +244,10 @@ class SpeedInput:
 
 def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
     """Make a publisher that works while the node is active; `made` gets what destroys it."""
-    publisher = node.create_lifecycle_publisher(message_type, topic, _DEPTH)
+    # rclpy's reports of subscriptions whose QoS does not match cost time in each turn of the
+    # executor. Subscribers report the same.
+    silent = PublisherEventCallbacks(use_default_callbacks=False)
+    publisher = node.create_lifecycle_publisher(message_type, topic, _DEPTH, event_callbacks=silent)
     made.callback(node.destroy_lifecycle_publisher, publisher)
     return publisher
 

@@ -1,11 +1,18 @@
 """Windows of a stream with more events than they may hold: the same however it comes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emoflow_ros.core.bounded_windows import BoundedSlicer, BoundedWindows, DistinctEvents
+from emoflow_ros.core.bounded_windows import (
+    BoundedSlicer,
+    BoundedWindows,
+    DistinctEvents,
+    RateLimitedSlicer,
+)
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events, TimeJumpError, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.core.thinning import EventBudget
@@ -59,6 +66,29 @@ def test_thinning_on_the_way_gives_the_thinned_windows(seed, policy, max_events,
     assert_same(windows, expected)
     assert len(windows) > 2
     assert slicer.left_out > 0 or max_events == 4000
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from(POLICIES),
+    st.sampled_from([1, 5]),
+    st.lists(st.integers(1, 3000), max_size=25),
+)
+def test_limiting_the_rate_on_the_way_limits_that_of_the_windows(seed, policy, bin_ms, sizes):
+    events = stream(10_000, seed)
+    budget = EventBudget(policy, 400, bin_ms * MS)
+    expected = [
+        replace(window, events=budget.limit_rate(window.events, window.t_start))
+        for window in WindowSlicer(policy).push(events)
+    ]
+    slicer, windows = RateLimitedSlicer(budget), []
+    for part in np.split(np.arange(len(events)), np.minimum(np.cumsum(sizes), len(events))):
+        windows += slicer.push(events[part])
+    assert_same(windows, expected)
+    most = 400 * policy.duration_ns / min(10 * MS, policy.duration_ns)
+    assert max(len(w.events) for w in windows) <= most
+    assert slicer.left_out > 0
 
 
 def test_windows_come_with_the_event_that_completes_them():

@@ -51,7 +51,9 @@ class FakeNode:
     def resolve_topic_name(self, name: str, *, only_expand: bool = False) -> str:
         return f"/{name}"
 
-    def create_lifecycle_publisher(self, message_type: Any, topic: str, depth: int) -> Any:
+    def create_lifecycle_publisher(
+        self, message_type: Any, topic: str, depth: int, *, event_callbacks: Any
+    ) -> Any:
         self.publishers[topic] = FakePublisher(message_type)
         return self.publishers[topic]
 

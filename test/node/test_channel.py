@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.events import (
+    NS_PER_MS,
+    SLICE_BIN_NS,
+    SLICE_EVENTS,
+    SLICE_MS,
+    Events,
+    Window,
+    WindowPolicy,
+)
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.channel import pack_window, unpack_window
@@ -69,3 +77,10 @@ def test_what_crosses_is_bounded_whatever_comes(rate):
     assert arrays["x"].size <= budget.capacity < 4.2 * config.estimator.max_events
     size = sum(array.nbytes for array in arrays.values())
     assert size <= 11 * budget.capacity < 1.38e6
+    newest = cut.events[cut.events.t >= cut.t_end - SLICE_MS * MS]
+    policy = WindowPolicy(duration_ms=SLICE_MS, stride_ms=15.0)
+    budget = EventBudget(policy, SLICE_EVENTS, SLICE_BIN_NS)
+    stay = budget.limit_rate(newest, cut.t_end - round(SLICE_MS) * MS)
+    _, arrays = pack_window(Window(int(newest.t[0]), cut.t_end, stay))
+    assert arrays["x"].size <= SLICE_MS / 10 * SLICE_EVENTS
+    assert sum(array.nbytes for array in arrays.values()) <= 0.265e6

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from ros_nodes import ros_context
 from std_msgs.msg import Float64, String
 
@@ -23,6 +25,7 @@ from emoflow_ros.node.settings import ScaleOptions
 from emoflow_ros.node.twist_output import (
     Scale,
     Scaling,
+    make_publisher,
     to_header,
     to_speed,
     to_twist_with_covariance,
@@ -83,6 +86,15 @@ def rotation() -> Twist:
         linear=np.zeros(3),
         angular=np.array([0.1, -0.2, 0.3]),
     )
+
+
+def test_publishers_add_nothing_that_the_executor_looks_at_in_each_turn() -> None:
+    with ros_context() as context, ExitStack() as made:
+        node = LifecycleNode("talker", context=context)
+        before = len(list(node.waitables))
+        make_publisher(node, TwistStamped, "twist", made)
+        assert len(list(node.waitables)) == before
+        assert len(list(node.publishers)) > 0
 
 
 def test_header_splits_nanoseconds() -> None:
