@@ -77,10 +77,10 @@ def test_what_crosses_is_bounded_whatever_comes(rate):
     assert arrays["x"].size <= budget.capacity < 4.2 * config.estimator.max_events
     size = sum(array.nbytes for array in arrays.values())
     assert size <= 11 * budget.capacity < 1.38e6
-    newest = cut.events[cut.events.t >= cut.t_end - SLICE_MS * MS]
     policy = WindowPolicy(duration_ms=SLICE_MS, stride_ms=15.0)
-    budget = EventBudget(policy, SLICE_EVENTS, SLICE_BIN_NS)
-    stay = budget.limit_rate(newest, cut.t_end - round(SLICE_MS) * MS)
-    _, arrays = pack_window(Window(int(newest.t[0]), cut.t_end, stay))
+    begin = cut.t_end - policy.duration_ns
+    newest = cut.events[cut.events.t >= begin]
+    stay = EventBudget(policy, SLICE_EVENTS, SLICE_BIN_NS).limit_rate(newest, begin)
+    _, arrays = pack_window(Window(begin, cut.t_end, stay))
     assert arrays["x"].size <= SLICE_MS / 10 * SLICE_EVENTS
     assert sum(array.nbytes for array in arrays.values()) <= 0.265e6
