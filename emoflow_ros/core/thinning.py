@@ -67,13 +67,8 @@ class EventBudget:
         """
         if not len(events):
             return events
-        first, last = int(events.t[0]), int(events.t[-1])
+        edges = self._edges(origin, int(events.t[0]), int(events.t[-1]))
         shortest = min(_SHORTEST_NS, self.policy.duration_ns)
-        begin, end = self.bin_at(origin, first)
-        if last < end:  # the usual case of a stream's newest events
-            limit = max(self.max_events * (end - begin) // shortest, 1)
-            return events if len(events) <= limit else _thin_evenly(events, limit)
-        edges = self._edges(origin, first, last)
         limits = np.maximum(self.max_events * np.diff(edges) // shortest, 1)
         return _thin_pieces(events, np.searchsorted(events.t, edges), limits)
 
@@ -112,6 +107,9 @@ class EventBudget:
 
     def _edges(self, origin: int, first: int, last: int) -> NDArray[np.int64]:
         """Edges (M + 1,) of the M bins that hold the times from first to last, ns."""
+        bounds = self.bin_at(origin, first)
+        if last < bounds[1]:
+            return np.array(bounds)
         stride = self.policy.stride_ns
         strides = np.arange((first - origin) // stride, (last - origin) // stride + 2)
         edges = (origin + strides[:, None] * stride + self._offsets[:-1]).ravel()
