@@ -21,14 +21,13 @@ _GRID_PX = 16  # distance between the pixels whose displacement counts
 _STILL_PX = 1e-3
 _FAST = 0.9  # quantile of the displacements that counts: where it is fast, warps fail first
 _LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns back on its way
-_FIRST = 0.25  # share of the window's events in the first part, before any motion is known
-_SECOND = 2 / 3  # the same in a second attempt, if the first part shows no motion
-# Shares of the next windows' events while there is no estimate, in turn. Usually the camera hardly
-# moves then, and whole windows show best when it begins to move. But it may also be too fast for
-# whole windows.
-_RETRIES = (1.0, 0.25, 1.0, 0.06)
+# Shares of a window's events that are tried first while no motion is known, in turn from the first
+# failure on. Usually the camera hardly moves then, and whole windows show best when it begins to
+# move. But it may also be too fast for whole windows.
+_SHARES = (1.0, 0.25, 1.0, 0.06)
 _CHANGE_PX = 2.0  # largest displacement off the fit within a part, px of the working image
-_TOO_SHORT = 1.5  # ratio of events: if the motion allows more, the first part is estimated anew
+_TOO_LONG = 1.25  # ratio of events, to those that the motion allows: a shorter part is estimated
+_SHORTER = 0.5  # share of its events that the next part holds at least
 
 _THIRD = 1 / 3  # share of a window
 _FEW_EVENTS = 300  # number of events in a third; fewer tell nothing
@@ -47,11 +46,13 @@ class MotionWindows:
 
     A displacement is the length of the path: a camera that shakes leaves events on its way back,
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its
-    quality) shortens the next one in the same way. The first part holds a quarter of its window's
-    events, so that fast motion is not lost at once. Where it shows slow motion the same window is
-    estimated anew as a longer part, and where it shows none as two thirds. Where a later part gives
-    no estimate the first, third and so on of the next windows are taken whole, and of the others a
-    quarter or 6 % of the events in turn.
+    quality) shortens the next one in the same way.
+
+    While no motion is known, the longest part is estimated first: long parts of slow motion tell
+    much more than short ones. If its motion asks for a shorter part, the same window is estimated
+    anew as one, until a part fits its own motion. The first window is taken whole. Where a part
+    gives no estimate the first, third and so on of the next windows begin whole, and the others
+    with a quarter or 6 % of the events in turn.
 
     Args:
         estimator: of the parts.
@@ -81,14 +82,10 @@ class MotionWindows:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to the latest part of a window."""
-        if self._count is None and not self._failures:
-            estimate, part = self._estimate_first(window)
+        if self._count is None:
+            estimate, part = self._estimate_unknown(window)
         else:
-            count = self._count
-            if count is None:
-                share = _RETRIES[(self._failures - 1) % len(_RETRIES)]
-                count = round(share * window.events.came)
-            part = window.since(self._choose_start(window, count))
+            part = window.since(self._choose_start(window, self._count))
             estimate = self._estimator.estimate(part)
         if estimate.flow is None:
             if estimate.status is Status.OK:
@@ -101,19 +98,22 @@ class MotionWindows:
         self._count = self._next_count(estimate.flow, estimate.quality.change_px, part)
         return estimate
 
-    def _estimate_first(self, window: Window) -> tuple[Estimate, Window]:
-        """Estimate a short part; if the motion allows, or shows in, a longer one only, that one."""
-        events = window.events.came
-        part = window.since(self._choose_start(window, round(_FIRST * events)))
-        estimate = self._estimator.estimate(part)
-        count = round(_SECOND * events)
-        if estimate.flow is not None:
+    def _estimate_unknown(self, window: Window) -> tuple[Estimate, Window]:
+        """Estimate ever shorter parts, until one is as short as its own motion asks for."""
+        share = _SHARES[max(0, self._failures - 1) % len(_SHARES)]
+        part = window.since(self._choose_start(window, round(share * window.events.came)))
+        while True:
+            estimate = self._estimator.estimate(part)
+            if estimate.flow is None:
+                return estimate, part
+            came = part.events.came
             count = self._next_count(estimate.flow, estimate.quality.change_px, part)
-        if min(count, events) <= _TOO_SHORT * part.events.came:
-            return estimate, part
-        self._estimator.reset()
-        part = window.since(self._choose_start(window, count))
-        return self._estimator.estimate(part), part
+            count = max(count, round(_SHORTER * came))
+            shorter = window.since(self._choose_start(window, count))
+            if came <= _TOO_LONG * count or shorter.t_start == part.t_start:
+                return estimate, part
+            self._estimator.reset()
+            part = shorter
 
     def _choose_start(self, window: Window, count: int) -> int:
         """Go back by the number of events, to the window's or the last estimate's start at most."""

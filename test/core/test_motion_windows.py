@@ -33,31 +33,39 @@ def run(path: Path, policy: WindowPolicy, fails=lambda k: False) -> list[Window]
     return exact.windows
 
 
-@pytest.mark.parametrize(("min_count", "first"), [(100, 500), (1500, 1500), (3000, 2000)])
-def test_before_the_motion_is_known_a_part_holds_a_quarter_of_the_events(min_count, first):
-    """The window of 200 ms holds 2000."""
-    assert len(run(Path([200.0] * 5), policy(min_count=min_count))[0].events) == first
+@pytest.mark.parametrize(
+    ("speed", "min_count", "parts"),
+    [
+        (30.0, 100, [300]),
+        (45.0, 100, [450]),  # 9 px, which is not much too long
+        (60.0, 100, [600, 400]),
+        (200.0, 100, [2000, 1000, 500]),
+        (200.0, 1500, [2000, 1500]),
+        (200.0, 3000, [2000]),
+    ],
+)
+def test_the_first_window_is_taken_whole_and_shortened_until_its_motion_fits(
+    speed, min_count, parts
+):
+    """The bound is 8 px, 400 events. A part holds at least half of the one before it."""
+    estimated = run(Path([speed] * 5), policy(min_count=min_count))
+    first = [p for p in estimated if p.t_end == estimated[0].t_end]
+    assert [len(p.events) for p in first] == pytest.approx(parts, abs=1)
 
 
-def test_a_first_part_that_shows_slow_motion_is_taken_anew_as_long_as_the_motion_allows():
-    """40 px/s: the quarter moves by 2 px, the whole window by 8 px."""
-    parts = run(Path([40.0] * 5), policy(7.0, min_count=50))
-    assert [len(p.events) for p in parts[:2]] == [100, 350]
-    assert parts[0].t_end == parts[1].t_end
-
-
-def test_a_first_part_without_an_estimate_is_taken_anew_as_two_thirds():
-    parts = run(Path([200.0] * 5), policy(), fails=lambda k: k == 0)
-    assert [len(p.events) for p in parts[:2]] == [500, 1333]
+def test_a_shorter_part_starts_anew():
+    exact = ExactEstimator(path := Path([200.0] * 3))
+    MotionWindows(exact, CAMERA, policy()).estimate(WindowSlicer(policy()).push(path.events)[0])
+    assert (len(exact.windows), exact.resets) == (3, 2)
 
 
 def test_the_displacement_is_the_length_of_the_path():
-    """There and back: 0, 4, 0, -4, 0 px."""
+    """There and back: 0, 3, 0, -3, 0 px."""
 
     class Shake:
         def tracks(self, points, times):
             assert len(times) == 5
-            return points + np.array([0.0, 4.0, 0.0, -4.0, 0.0])[:, None, None] * [1.0, 0.0]
+            return points + np.array([0.0, 3.0, 0.0, -3.0, 0.0])[:, None, None] * [1.0, 0.0]
 
     class Shaken(ExactEstimator):
         def estimate(self, window):
@@ -66,32 +74,35 @@ def test_the_displacement_is_the_length_of_the_path():
     inner = Shaken(Path([200.0] * 3))
     estimator = MotionWindows(inner, CAMERA, policy(bound=8.0))
     window = Window(START, START + 100 * MS, Path([200.0] * 3).events[:1000])
-    for _ in range(2):
-        estimator.estimate(window)
-    assert [len(w.events) for w in inner.windows] == [250, 125]  # 16 px, half as much next
+    estimator.estimate(window)
+    assert [len(w.events) for w in inner.windows[:2]] == [1000, 667]  # 12 px, two thirds next
 
 
-@pytest.mark.parametrize(("change_px", "events"), [(2.0, 250), (8.0, 125), (32.0, 62)])
-def test_a_change_that_the_fit_leaves_out_shortens_the_next_part(change_px, events):
+@pytest.mark.parametrize(
+    ("change_px", "events"), [(2.0, [1000]), (8.0, [1000, 500]), (32.0, [1000, 500, 250])]
+)
+def test_a_change_that_the_fit_leaves_out_shortens_the_part(change_px, events):
     """By the square root of what it is over 2 px; the displacement would allow twice the events."""
 
     class Changing(ExactEstimator):
         def estimate(self, window):
             found = super().estimate(window)
-            return replace(found, quality=replace(found.quality, change_px=change_px))
+            change = change_px * (len(window.events) / 1000) ** 2
+            return replace(found, quality=replace(found.quality, change_px=change))
 
     path = Path([200.0] * 3)
     inner = Changing(path)
-    estimator = MotionWindows(inner, CAMERA, policy(bound=10.0, min_count=50))
+    estimator = MotionWindows(inner, CAMERA, policy(bound=40.0, min_count=50))
     window = Window(START, START + 100 * MS, path.events[:1000])
-    for _ in range(2):
-        estimator.estimate(window)
-    assert len(inner.windows[-1].events) == events
+    estimator.estimate(window)
+    assert [len(w.events) for w in inner.windows] == events
+    estimator.estimate(window)
+    assert len(inner.windows[-1].events) == events[-1]
 
 
 def test_the_displacement_is_the_bound():
     path = Path([200.0] * 6)
-    for part in run(path, policy(8.0))[2:]:
+    for part in run(path, policy(8.0))[3:]:
         assert path.between(part.t_start, part.t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
         assert part.duration == pytest.approx(0.04, abs=1e-4)
 
@@ -100,7 +111,7 @@ def test_the_displacement_is_the_bound():
 def test_a_change_of_speed_counts_at_once(change):
     """Also in the window in which it happens, and with the old estimate."""
     path = Path([200.0] * 4 + [200.0 * change] * 4)
-    parts = run(path, policy(8.0, stride_ms=23.0))[2:]
+    parts = run(path, policy(8.0, stride_ms=23.0))[3:]
     assert [p for p in parts if p.t_start < START + 400 * MS < p.t_end]
     for part in parts:
         assert path.between(part.t_start, part.t_end) == pytest.approx(8.0, abs=2 / PER_PX)
@@ -114,7 +125,7 @@ def test_slow_motion_gets_the_whole_window():
 def test_few_events_lengthen_a_part():
     """5 events per pixel: 8 px hold 40 of them, 100 are wanted."""
     parts = run(Path([200.0] * 6, per_px=5), policy(8.0, min_count=100, stride_ms=50.0))
-    assert [len(p.events) for p in parts] == [100] * len(parts)
+    assert [len(p.events) for p in parts] == [200] + [100] * (len(parts) - 1)
     assert parts[-1].duration == pytest.approx(0.1, abs=0.002)
 
 
@@ -134,8 +145,9 @@ def test_texture_is_learnt_in_one_window():
 def test_without_an_estimate_windows_are_whole_and_every_other_one_shorter():
     path = Path([100.0] * 10)
     parts = run(path, policy(8.0, duration_ms=200.0, stride_ms=100.0), fails=lambda k: k < 7)
-    assert [len(p.events) for p in parts[:7]] == [250, 667, 1000, 250, 1000, 100, 1000]
-    assert path.between(parts[8].t_start, parts[8].t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
+    assert [len(p.events) for p in parts[:7]] == [1000, 1000, 250, 1000, 100, 1000, 250]
+    last = parts[-1]
+    assert path.between(last.t_start, last.t_end) == pytest.approx(8.0, abs=1.5 / PER_PX)
 
 
 def test_reset_forgets_the_motion_and_resets_the_estimator():
@@ -147,9 +159,9 @@ def test_reset_forgets_the_motion_and_resets_the_estimator():
         estimator.estimate(window)
     assert len(exact.windows[-1].events) == pytest.approx(400, abs=2)
     estimator.reset()
-    assert exact.resets == 1
+    before = len(exact.windows)
     estimator.estimate(windows[0])  # time has gone back
-    assert len(exact.windows[-1].events) == 1000
+    assert len(exact.windows[before].events) == 4000
 
 
 def test_windows_whose_last_events_lie_at_their_end_have_a_length():
@@ -158,8 +170,8 @@ def test_windows_whose_last_events_lie_at_their_end_have_a_length():
     x = np.zeros(300, np.uint16)
     window = Window(START, START + MS, Events(x, x, t, np.ones(300, np.bool_)))
     exact = ExactEstimator(Path([100.0]))
-    MotionWindows(exact, CAMERA, policy(min_count=100)).estimate(window)
-    assert exact.windows[0].duration == 1 / NS_PER_S
+    MotionWindows(exact, CAMERA, policy(bound=0.01)).estimate(window)
+    assert [w.duration for w in exact.windows] == [1e-3, 1 / NS_PER_S]
 
 
 @settings(max_examples=60, deadline=None)
@@ -173,7 +185,7 @@ def test_parts_move_on_and_depend_on_the_past_only(speeds, bound, failing, kept)
     def parts(path):
         """The last part of each window, and whether it has an estimate.
 
-        The first window may be estimated twice.
+        A window may be estimated several times.
         """
         estimated = run(path, policy(bound), fails=lambda k: k in failing)
         return list({p.t_end: (p, k not in failing) for k, p in enumerate(estimated)}.values())
@@ -204,10 +216,9 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
     bound = 7.2 * 345 / 1599  # is in pixels of a sensor that is 346 wide
     estimator = MotionWindows(inner, camera, policy(bound=bound, min_count=100))
     window = Window(START, START + 100 * MS, path.events[:1000])
-    for _ in range(2):
-        estimator.estimate(window)
+    estimator.estimate(window)
     # Columns 8, 24, ... 1592: nine tenths are left of 1433.6, which moves by 14.336 px.
-    assert [len(w.events) for w in inner.windows] == [250, round(250 * 7.2 / 14.336)]
+    assert [len(w.events) for w in inner.windows[:2]] == [1000, round(1000 * 7.2 / 14.336)]
 
 
 def test_windows_are_taken_whole_unless_a_bound_is_set():
