@@ -12,6 +12,7 @@ from emoflow_ros.core.gyro_checks import (
     GyroState,
     GyroStatus,
     MistakeGuess,
+    SteadyWatch,
     find_fault,
 )
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, Shape, fit_shape
@@ -37,6 +38,10 @@ _CONFIRMED_S = 2.0  # time of agreement, s
 _TRIAL_S = 2.0  # time of agreement after which a rejected gyro is used again, s
 _RETRY_S = 3.0  # time of disagreement after which a rejected gyro's bias is doubted once more, s
 
+# Standard deviation of w, rad/s, where the gyro is steady and the events show no motion: so slow an
+# even turn could be missed.
+_AT_REST = math.radians(0.3)
+
 # Errors of the events' estimates that are nearer than this in time go together, s.
 _CORRELATED_S = 0.25
 _MOST_DOUBT = 8.0
@@ -47,7 +52,8 @@ class Gyro:
     """One gyro beside one estimator.
 
     It depends on nothing but the windows and readings so far, in their order. For each window call
-    `measure`, and then, where the events alone tell an angular velocity, `learn`.
+    `measure`, and then, where the events alone tell an angular velocity, `learn`, and where they
+    show no motion, `learn_at_rest`.
 
     A gyro that disagrees with the events grossly in most windows of the last two seconds is
     rejected; of the last 0.4 s, where it has not agreed for two seconds before. It is compared
@@ -68,6 +74,8 @@ class Gyro:
         self.disagreement = 0.0
         self._bias = BiasFilter(config)
         self._freeze = FreezeWatch()
+        self._steady_watch = SteadyWatch()
+        self._steady = False
         self._t: int | None = None  # end of the last window, ns
         self._last: GyroMeasurement | None = None
         self._own: Array = np.zeros((3, 3))  # covariance of its middle without the bias
@@ -104,6 +112,9 @@ class Gyro:
             return None
         covering = readings.covering(t_start, t_end)
         self._freeze.take(readings.covering(t_start, t_end, 0))
+        self._steady = len(readings) > 0 and self._steady_watch.take(
+            readings, t_end, math.radians(self.config.noise)
+        )
         fault = find_fault(covering, t_start, t_end, math.radians(self.config.range_deg_s))
         if fault is None and self._freeze.until is not None and self._freeze.until > t_start:
             fault = GyroFault.FROZEN
@@ -145,6 +156,20 @@ class Gyro:
             known + (_RELATIVE_FLOOR * speed) ** 2 * np.eye(3),
             (last.t_end - last.t_start) / _NS_PER_S,
         )
+
+    def learn_at_rest(self) -> None:
+        """Learn the bias from the window that was measured last, whose events show no motion.
+
+        A camera whose gyro is steady as well is taken to be at rest (a zero-velocity update).
+        """
+        last = self._last
+        if last is not None and self._steady:
+            self._last = None
+            self._bias.update(
+                last.w + self._bias.mean,
+                _AT_REST**2 * np.eye(3),
+                (last.t_end - last.t_start) / _NS_PER_S,
+            )
 
     def _pass_time(self, t_end: int) -> None:
         """Go on to a window; one that ends earlier is of another recording, or a loop of this."""

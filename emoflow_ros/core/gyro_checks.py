@@ -9,13 +9,17 @@ from itertools import pairwise, permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings
+from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings, fit_shape
 
 Array = NDArray[np.float64]
 
 _FROZEN_NS = 50_000_000  # time of equal readings
 _FROZEN_READINGS = 10  # number of equal readings
 _AT_RANGE = 0.99  # share of the range from which a reading counts as at its end
+
+_STEADY_NS = 250_000_000  # time of readings without motion
+_NOISE_6 = 12.6  # squared length, in standard deviations, that 5 % of draws from six axes exceed
+_NOISE_3 = 16.3  # that 0.1 % of draws from three axes exceed
 
 UNITS = 0.35  # relative error of a scale up to which it looks like wrong units
 _DEG = math.degrees(1.0)
@@ -121,6 +125,43 @@ class FreezeWatch:
             if self._count >= _FROZEN_READINGS and last - self._since >= _FROZEN_NS:
                 self.until = last
         self._value, self._seen = w[-1], int(t[-1])
+
+
+class SteadyWatch:
+    """Notices a gyro that has measured nothing but a constant and its noise for 0.25 s.
+
+    A camera that is held, carried or driven turns unevenly by far more than a gyro's noise. So
+    this is the gyro of a camera at rest, or of one that turns or travels perfectly evenly.
+    """
+
+    def __init__(self) -> None:
+        self._since = 0
+        self._until: int | None = None
+        self._first: Array = np.zeros(3)
+
+    def take(self, readings: GyroReadings, t_end: int, density: float) -> bool:
+        """Look at the readings up to a time (ns); return whether they have been steady up to it.
+
+        Args:
+            readings: those of a window that ends then or later.
+            t_end: the time.
+            density: the gyro's noise density, rad/s per square root of Hz.
+        """
+        t_start = max(int(readings.t[0]), t_end - _STEADY_NS)
+        if t_end <= t_start:
+            return False
+        mean, slope, curve = fit_shape(readings, t_start, t_end).coefficients
+        noise = density**2 * 1e9 / (t_end - t_start)
+        uneven = float(slope @ slope / 3 + curve @ curve / 5) / noise
+        off = float((mean - self._first) @ (mean - self._first)) / (2 * noise)
+        if not uneven <= _NOISE_6:  # also if it is not a number
+            self._until = None
+            return False
+        goes_on = self._until is not None and t_start <= self._until <= t_end
+        if not goes_on or off > _NOISE_3:
+            self._since, self._first = t_start, mean
+        self._until = t_end
+        return t_end - self._since >= _STEADY_NS
 
 
 def axis_names(matrix: Array) -> str:

@@ -266,13 +266,10 @@ class LatticeEstimator:
 
     def _is_confined(self, events: WindowEvents) -> bool:
         fit = self._fit
+        evidence = np.trace(fit.evidence, axis1=1, axis2=2)  # at each node, px^-2
         return self.config.model == "auto" and is_confined(
-            self.lattice, fit.contrasts[1.0], events, fit.flow, self._evidence()
+            self.lattice, fit.contrasts[1.0], events, fit.flow, evidence
         )
-
-    def _evidence(self) -> Array:
-        """How much the events say about the flow at each node, px^-2."""
-        return np.trace(self._fit.evidence, axis1=1, axis2=2)
 
     def _result(self, window: Window, quality: Quality, apart: Disagreement) -> Estimate:
         """Remember the window that was fitted, and report it."""
@@ -293,6 +290,8 @@ class LatticeEstimator:
     ) -> Estimate:
         """Report a window without a confident estimate; the next one starts cold."""
         self._start_anew()
+        if status is not Status.DIVERGED:
+            self._gyro.learn_at_rest()
         quality = self._quality(used, str(status), gain)
         middle = (window.t_start + window.t_end) // 2
         return Estimate(
