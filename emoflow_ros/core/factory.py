@@ -1,13 +1,17 @@
 """Estimators by configuration."""
 
+from collections.abc import Callable
 from functools import partial
 
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, GyroConfig, require_cuda, require_torch
-from emoflow_ros.core.estimate import Estimator
+from emoflow_ros.core.estimate import Estimator, FlowSampler
+from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.thinning import EventBudget
+
+Look = Callable[[Window], FlowSampler | None]
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
@@ -21,15 +25,15 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
     """
     require_torch(config)
     if isinstance(config.estimator, LatticeConfig):
-        estimator = _make_lattice_estimator(camera, config.estimator, config.imu)
+        estimator, look = _make_lattice_estimator(camera, config.estimator, config.imu)
     else:
         from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 
-        estimator = ImplicitEstimator(camera, config.estimator)
+        estimator, look = ImplicitEstimator(camera, config.estimator), _nothing
     if config.window.max_displacement_px > 0:
         from emoflow_ros.core.motion_windows import MotionWindows
 
-        estimator = MotionWindows(estimator, camera, config.window)
+        estimator = MotionWindows(estimator, camera, config.window, look)
     if isinstance(config.estimator, LatticeConfig):
         from emoflow_ros.core.doubt import ReliableOnly
         from emoflow_ros.core.preparation import CleanWindows
@@ -40,13 +44,21 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
     return BoundedWindows(estimator, EventBudget(config.window, config.estimator.max_events))
 
 
-def _make_lattice_estimator(camera: Camera, config: LatticeConfig, imu: GyroConfig) -> Estimator:
+def _nothing(window: Window) -> None:
+    """Look at a window without a quick way to its flow."""
+
+
+def _make_lattice_estimator(
+    camera: Camera, config: LatticeConfig, imu: GyroConfig
+) -> tuple[Estimator, Look]:
     from emoflow_ros.core.lattice_estimator import LatticeEstimator
+    from emoflow_ros.core.second_look import QuickLook
 
     if config.device == "cpu":
-        return LatticeEstimator(camera, config, imu=imu)
+        return LatticeEstimator(camera, config, imu=imu), QuickLook(camera, config).flow
     from emoflow_ros.core.contrast_torch import TorchContrast
 
     require_cuda()
     make_contrast = partial(TorchContrast, device=config.device, capacity=config.max_events)
-    return LatticeEstimator(camera, config, make_contrast, imu)
+    look = QuickLook(camera, config, make_contrast).flow
+    return LatticeEstimator(camera, config, make_contrast, imu), look

@@ -38,9 +38,10 @@ _CONFIRMED_S = 2.0  # time of agreement, s
 _TRIAL_S = 2.0  # time of agreement after which a rejected gyro is used again, s
 _RETRY_S = 3.0  # time of disagreement after which a rejected gyro's bias is doubted once more, s
 
-# Standard deviation of w, rad/s, where the gyro is steady and the events show no motion: so slow an
-# even turn could be missed.
-_AT_REST = math.radians(0.3)
+# Standard deviation of w, rad/s, where the gyro is steady and the events show no motion. If it is
+# an even turn all the same, it is one in all windows: together they count as one in each 10 s.
+_AT_REST = math.radians(0.15)
+_REST_S = 10.0
 
 # Errors of the events' estimates that are nearer than this in time go together, s.
 _CORRELATED_S = 0.25
@@ -75,7 +76,7 @@ class Gyro:
         self._bias = BiasFilter(config)
         self._freeze = FreezeWatch()
         self._steady_watch = SteadyWatch()
-        self._steady = False
+        self._steady: Array | None = None  # mean w (3,) of a steady gyro, with its bias
         self._t: int | None = None  # end of the last window, ns
         self._last: GyroMeasurement | None = None
         self._own: Array = np.zeros((3, 3))  # covariance of its middle without the bias
@@ -112,9 +113,8 @@ class Gyro:
             return None
         covering = readings.covering(t_start, t_end)
         self._freeze.take(readings.covering(t_start, t_end, 0))
-        self._steady = len(readings) > 0 and self._steady_watch.take(
-            readings, t_end, math.radians(self.config.noise)
-        )
+        noise = math.radians(self.config.noise)
+        self._steady = self._steady_watch.take(readings, t_end, noise)
         fault = find_fault(covering, t_start, t_end, math.radians(self.config.range_deg_s))
         if fault is None and self._freeze.until is not None and self._freeze.until > t_start:
             fault = GyroFault.FROZEN
@@ -154,7 +154,7 @@ class Gyro:
         self._bias.update(
             last.middle + self._bias.mean - w_events,
             known + (_RELATIVE_FLOOR * speed) ** 2 * np.eye(3),
-            (last.t_end - last.t_start) / _NS_PER_S,
+            max(_CORRELATED_S, (last.t_end - last.t_start) / _NS_PER_S),
         )
 
     def learn_at_rest(self) -> None:
@@ -162,14 +162,10 @@ class Gyro:
 
         A camera whose gyro is steady as well is taken to be at rest (a zero-velocity update).
         """
-        last = self._last
-        if last is not None and self._steady:
+        if self._last is not None and self._steady is not None:
             self._last = None
-            self._bias.update(
-                last.w + self._bias.mean,
-                _AT_REST**2 * np.eye(3),
-                (last.t_end - last.t_start) / _NS_PER_S,
-            )
+            known = _AT_REST**2 * np.eye(3) + self._own
+            self._bias.update(self._steady, known, _REST_S, at_rest=True)
 
     def _pass_time(self, t_end: int) -> None:
         """Go on to a window; one that ends earlier is of another recording, or a loop of this."""
@@ -239,9 +235,8 @@ class BiasFilter:
     """A Kalman filter of the bias (3,), a random walk.
 
     The events' estimates come from windows that overlap, and each starts from the one before it, so
-    that their errors repeat. An update after dt seconds therefore counts dt / tau of one, with tau
-    the window's length and at least 0.25 s: together they tell as much as estimates that are tau
-    apart.
+    that their errors repeat. An update after dt seconds therefore counts dt / tau of one: together
+    they tell as much as estimates that are tau apart.
 
     Attributes:
         mean: (3,) rad/s.
@@ -253,12 +248,13 @@ class BiasFilter:
         self._walk = float(np.radians(config.bias_walk) ** 2)
         self.mean = np.zeros(3)
         self.covariance = self._start.copy()
-        self._since_update = np.inf
+        self._since_update = {False: np.inf, True: np.inf}  # by whether it was at rest, s
 
     def advance(self, seconds: float) -> None:
         """Let time pass."""
         self.covariance = self.covariance + self._walk * seconds * np.eye(3)
-        self._since_update += seconds
+        for at_rest in self._since_update:
+            self._since_update[at_rest] += seconds
 
     def doubt(self) -> None:
         """Trust what is known half as much, down to eight times the bias that is expected."""
@@ -266,22 +262,25 @@ class BiasFilter:
         if np.trace(self.covariance) < most:
             self.covariance = 4 * self.covariance + self._start
 
-    def update(self, difference: Array, covariance: Array, duration: float) -> bool:
+    def update(
+        self, difference: Array, covariance: Array, repeat_s: float, *, at_rest: bool = False
+    ) -> bool:
         """Take the gyro's reading less the events' estimate; False if it is an outlier.
 
         Args:
             difference: (3,) rad/s.
             covariance: (3, 3) of all in it but the bias.
-            duration: of the window, s.
+            repeat_s: tau, s.
+            at_rest: what it is learnt from; the updates of each kind repeat their errors.
         """
         apart = difference - self.mean
         if apart @ np.linalg.solve(self.covariance + covariance, apart) > _OUTLIER:
             return False
-        repeated = max(1.0, max(_CORRELATED_S, duration) / max(self._since_update, 1e-3))
+        repeated = max(1.0, repeat_s / max(self._since_update[at_rest], 1e-3))
         noise = repeated * covariance
         gain = np.linalg.solve(self.covariance + noise, self.covariance).T
         kept = np.eye(3) - gain
         self.mean = self.mean + gain @ apart
         self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
-        self._since_update = 0.0
+        self._since_update[at_rest] = 0.0
         return True

@@ -17,9 +17,11 @@ _FROZEN_NS = 50_000_000  # time of equal readings
 _FROZEN_READINGS = 10  # number of equal readings
 _AT_RANGE = 0.99  # share of the range from which a reading counts as at its end
 
-_STEADY_NS = 250_000_000  # time of readings without motion
-_NOISE_6 = 12.6  # squared length, in standard deviations, that 5 % of draws from six axes exceed
-_NOISE_3 = 16.3  # that 0.1 % of draws from three axes exceed
+_STEADY_NS = 500_000_000  # time of readings without motion
+_LOOK_NS = 250_000_000  # the latest readings that are looked at together
+_QUIET = math.radians(0.03)  # noise density beyond which no gyro counts as steady
+# Squared lengths, in standard deviations, that 0.1 % of draws from six and three axes exceed.
+_NOISE_6, _NOISE_3 = 22.5, 16.3
 
 UNITS = 0.35  # relative error of a scale up to which it looks like wrong units
 _DEG = math.degrees(1.0)
@@ -128,10 +130,9 @@ class FreezeWatch:
 
 
 class SteadyWatch:
-    """Notices a gyro that has measured nothing but a constant and its noise for 0.25 s.
+    """Notices a gyro that has measured nothing but a constant and its noise for half a second.
 
-    A camera that is held, carried or driven turns unevenly by far more than a gyro's noise. So
-    this is the gyro of a camera at rest, or of one that turns or travels perfectly evenly.
+    This is the gyro of a camera at rest, or of one that travels or turns evenly.
     """
 
     def __init__(self) -> None:
@@ -139,29 +140,31 @@ class SteadyWatch:
         self._until: int | None = None
         self._first: Array = np.zeros(3)
 
-    def take(self, readings: GyroReadings, t_end: int, density: float) -> bool:
-        """Look at the readings up to a time (ns); return whether they have been steady up to it.
+    def take(self, readings: GyroReadings, t_end: int, density: float) -> Array | None:
+        """Look at the readings up to a time.
 
         Args:
             readings: those of a window that ends then or later.
-            t_end: the time.
+            t_end: the time, ns.
             density: the gyro's noise density, rad/s per square root of Hz.
+
+        Returns:
+            Their mean w (3,), rad/s, where they have been steady up to then; else None.
         """
-        t_start = max(int(readings.t[0]), t_end - _STEADY_NS)
+        t_start = max(int(readings.t[0]), t_end - _LOOK_NS) if len(readings) else t_end
         if t_end <= t_start:
-            return False
+            return None
         mean, slope, curve = fit_shape(readings, t_start, t_end).coefficients
-        noise = density**2 * 1e9 / (t_end - t_start)
+        noise = min(density, _QUIET) ** 2 * 1e9 / (t_end - t_start)  # variance of the mean
         uneven = float(slope @ slope / 3 + curve @ curve / 5) / noise
         off = float((mean - self._first) @ (mean - self._first)) / (2 * noise)
         if not uneven <= _NOISE_6:  # also if it is not a number
             self._until = None
-            return False
-        goes_on = self._until is not None and t_start <= self._until <= t_end
-        if not goes_on or off > _NOISE_3:
+            return None
+        if self._until is None or not t_start <= self._until <= t_end or off > _NOISE_3:
             self._since, self._first = t_start, mean
         self._until = t_end
-        return t_end - self._since >= _STEADY_NS
+        return mean if t_end - self._since >= _STEADY_NS else None
 
 
 def axis_names(matrix: Array) -> str:

@@ -31,15 +31,13 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
-from emoflow_ros.core.second_look import best_start, is_lost
+from emoflow_ros.core.second_look import SEARCH_EVENTS, SEARCH_REACH_PX, best_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperature
 
 Array = NDArray[np.float64]
 
 _COARSE_EVENTS = 10_000  # are enough at reduced resolution
-_SEARCH_EVENTS = 6_000
-_SEARCH_REACH_PX = 48.0
 _CONVERGED_PX = 0.01
 _STEPS_AFTER_CHANGE = 3
 # 1 - |agreement| from which earlier windows no longer count: a tenth of the flow on the wrong side
@@ -142,9 +140,9 @@ class LatticeEstimator:
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""
         fit = self._fit
-        few = events.every(max(1, len(events) // _SEARCH_EVENTS))
+        few = events.every(max(1, len(events) // SEARCH_EVENTS))
         still = np.zeros(self.lattice.shape, np.float32)
-        constant = still + best_constant_flow(fit.contrasts[0.25], few, _SEARCH_REACH_PX)
+        constant = still + best_constant_flow(fit.contrasts[0.25], few, SEARCH_REACH_PX)
         fit.flow = constant
         if fit.known is not None:
             turned = fit.turned(still, np.zeros(3))

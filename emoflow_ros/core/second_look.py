@@ -4,22 +4,29 @@ A contrast has many local maxima, and a flow near a wrong one still has a high c
 comparison with the result of another start shows such an error. The lattice estimator compares at
 three places: it starts from the best of several flows, it drops a fit that a constant flow
 surpasses, and it measures the distance to a second fit that does not know the estimate, by which
-core.doubt tells how likely the estimate is wrong.
+core.doubt tells how likely the estimate is wrong. The same fit, at a quick look, tells how long a
+first part of a window may be (core.motion_windows).
 """
 
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import (
+    Contrast,
+    ContrastFactory,
     ImageContrast,
     WindowEvents,
     best_constant_flow,
 )
-from emoflow_ros.core.lattice import Lattice, bilinear
+from emoflow_ros.core.events import Window
+from emoflow_ros.core.lattice import Lattice, LatticeFlow, bilinear
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.preparation import WorkingImage, prepare
 
 F32 = NDArray[np.float32]
 
@@ -28,6 +35,10 @@ _ALL = 1_000_000_000
 # distance from the estimate says less about its error; full resolution adds nothing.
 _STEPS = ((0.25, 2_000, 5), (0.5, _ALL, 2))
 SCALES = tuple(scale for scale, _, _ in _STEPS)
+
+# The search for a start without any knowledge: number of events, and reach in px per window.
+SEARCH_EVENTS = 6_000
+SEARCH_REACH_PX = 48.0
 
 _EVENTS = 2_000  # number of events that is enough at low resolution
 _REACH_PX = 16.0  # reach of the fresh search, px per window
@@ -74,6 +85,43 @@ class SecondLook:
                 equations.add_smoothness(flow, self._config)
                 flow = (flow + equations.solve().reshape(flow.shape)).astype(np.float32)
         return flow
+
+
+class QuickLook:
+    """Finds the flow of a window quickly: by the events alone, at low resolution.
+
+    Args:
+        camera: with its lens.
+        config: of the estimator.
+        make_contrast: where the contrast is computed.
+    """
+
+    def __init__(
+        self, camera: Camera, config: LatticeConfig, make_contrast: ContrastFactory = Contrast
+    ) -> None:
+        self._image = WorkingImage.of(camera)
+        self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
+        self._contrasts = {scale: make_contrast(self._lattice, scale) for scale in SCALES}
+        self._fit = SecondLook(self._lattice, self._contrasts, config)
+        self._config = config
+        self._threads = ThreadpoolController()
+
+    def flow(self, window: Window) -> LatticeFlow | None:
+        """Return the flow on the sensor; None if it does not sharpen the events."""
+        events = prepare(window, self._image, self._config)
+        if events is None:
+            return None
+        few = events.every(max(1, len(events) // SEARCH_EVENTS))
+        start = best_constant_flow(self._contrasts[min(SCALES)], few, SEARCH_REACH_PX)
+        try:
+            with self._threads.limit(limits=1, user_api="blas"):
+                flow = self._fit.flow(events, np.zeros(self._lattice.shape, np.float32) + start)
+        except np.linalg.LinAlgError:
+            return None
+        if self._contrasts[max(SCALES)].gain(events, flow) < self._config.min_contrast_gain:
+            return None
+        lattice, field = self._image.on_sensor(self._lattice, flow)
+        return LatticeFlow(lattice, field, window.t_start, window.t_end)
 
 
 def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> float:

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NotPositiveDefiniteError
-from emoflow_ros.core.second_look import SecondLook, distance, fresh_start
+from emoflow_ros.core.second_look import QuickLook, SecondLook, distance, fresh_start
 
 LATTICE = Lattice.with_spacing(160, 120, 26.0)
 CONTRASTS = {scale: Contrast(LATTICE, scale) for scale in (0.25, 0.5)}
@@ -70,3 +72,39 @@ def test_weights_that_are_not_finite_have_no_flow(events):
     broken = replace(events, weights=events.weights * np.float32(np.nan))
     with pytest.raises(NotPositiveDefiniteError):
         SecondLook(LATTICE, CONTRASTS, LatticeConfig()).flow(broken, constant(0, 0))
+
+
+def window(size: tuple[int, int], moved: tuple[float, float], per_point: int) -> Window:
+    """A window of 0.1 s in which 400 points move alike; each leaves so many events."""
+    rng = np.random.default_rng(5)
+    width, height = size
+    count = 400 * per_point
+    s = np.sort(rng.uniform(0, 1, count))
+    points = rng.uniform([0.1 * width, 0.1 * height], [0.9 * width, 0.9 * height], (400, 2))
+    at = rng.integers(0, 400, count)
+    x, y = np.rint(points[at] + (s[:, None] - 0.5) * moved).astype(np.uint16).T
+    t = np.round(s * 1e8).astype(np.int64)
+    return Window(0, 10**8, Events(x, y, t, rng.random(400)[at] < 0.5))
+
+
+@pytest.mark.parametrize("scale", [1, 4])
+def test_a_quick_look_finds_the_flow_on_the_sensor(scale):
+    """About 40 px in the working image, whatever the sensor."""
+    size = (320 * scale, 240 * scale)
+    camera = Camera(*size, 300.0 * scale, 300.0 * scale, 160.0 * scale, 120.0 * scale)
+    moved = (38.0 * scale, -12.0 * scale)
+    seen = QuickLook(camera, LatticeConfig()).flow(window(size, moved, 30))
+    assert seen is not None
+    inside = seen.displacement(0, 10**8)[size[1] // 4 : -size[1] // 4, size[0] // 4 : -size[0] // 4]
+    np.testing.assert_allclose(np.median(inside, axis=(0, 1)), moved, atol=0.7 * scale)
+    assert (seen.t_start, seen.t_end) == (0, 10**8)
+
+
+def test_a_quick_look_shows_nothing_where_there_is_no_motion_or_little_to_see():
+    look = QuickLook(Camera(320, 240, 300.0, 300.0, 160.0, 120.0), LatticeConfig())
+    assert look.flow(window((320, 240), (0.0, 0.0), 30)) is None
+    assert look.flow(window((320, 240), (10.0, 0.0), 2)) is None
+    few = window((320, 240), (10.0, 0.0), 30)
+    x, y = np.random.default_rng(1).integers([320, 240], size=(len(few.events), 2)).T
+    noise = replace(few.events, x=x.astype(np.uint16), y=y.astype(np.uint16))
+    assert look.flow(replace(few, events=noise)) is None
