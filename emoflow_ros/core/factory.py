@@ -1,17 +1,17 @@
 """Estimators by configuration."""
 
-from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, GyroConfig, require_cuda, require_torch
-from emoflow_ros.core.estimate import Estimator, FlowSampler
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.config import Config, require_cuda, require_torch
+from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.thinning import EventBudget
 
-Look = Callable[[Window], FlowSampler | None]
+if TYPE_CHECKING:
+    from emoflow_ros.core.contrast import ContrastFactory
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
@@ -25,40 +25,43 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
     """
     require_torch(config)
     if isinstance(config.estimator, LatticeConfig):
-        estimator, look = _make_lattice_estimator(camera, config.estimator, config.imu)
+        estimator = _make_lattice_estimator(camera, config, config.estimator)
     else:
         from emoflow_ros.core.implicit.estimator import ImplicitEstimator
 
-        estimator, look = ImplicitEstimator(camera, config.estimator), _nothing
-    if config.window.max_displacement_px > 0:
-        from emoflow_ros.core.motion_windows import MotionWindows
+        estimator = ImplicitEstimator(camera, config.estimator)
+        if config.window.max_displacement_px > 0:
+            from emoflow_ros.core.motion_windows import MotionWindows
 
-        estimator = MotionWindows(estimator, camera, config.window, look)
-    if isinstance(config.estimator, LatticeConfig):
-        from emoflow_ros.core.doubt import ReliableOnly
-        from emoflow_ros.core.preparation import CleanWindows
-
-        estimator = CleanWindows(estimator, camera)
-        if config.estimator.max_doubt < 1:
-            estimator = ReliableOnly(estimator, config.estimator.max_doubt)
+            estimator = MotionWindows(estimator, camera, config.window, None)
     return BoundedWindows(estimator, EventBudget(config.window, config.estimator.max_events))
 
 
-def _nothing(window: Window) -> None:
-    """Look at a window without a quick way to its flow."""
-
-
-def _make_lattice_estimator(
-    camera: Camera, config: LatticeConfig, imu: GyroConfig
-) -> tuple[Estimator, Look]:
+def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
+    from emoflow_ros.core.doubt import ReliableOnly
     from emoflow_ros.core.lattice_estimator import LatticeEstimator
+    from emoflow_ros.core.motion_windows import MotionWindows
+    from emoflow_ros.core.preparation import CleanWindows
     from emoflow_ros.core.second_look import QuickLook
 
+    make_contrast = _choose_contrast(lattice)
+    estimator: Estimator = LatticeEstimator(camera, lattice, make_contrast, config.imu)
+    if config.window.max_displacement_px > 0:
+        look = QuickLook(camera, lattice, make_contrast).flow
+        estimator = MotionWindows(estimator, camera, config.window, look)
+    estimator = CleanWindows(estimator, camera)
+    if lattice.max_doubt < 1:
+        estimator = ReliableOnly(estimator, lattice.max_doubt)
+    return estimator
+
+
+def _choose_contrast(config: LatticeConfig) -> "ContrastFactory":
+    """Where the contrast is computed."""
     if config.device == "cpu":
-        return LatticeEstimator(camera, config, imu=imu), QuickLook(camera, config).flow
+        from emoflow_ros.core.contrast import Contrast
+
+        return Contrast
     from emoflow_ros.core.contrast_torch import TorchContrast
 
     require_cuda()
-    make_contrast = partial(TorchContrast, device=config.device, capacity=config.max_events)
-    look = QuickLook(camera, config, make_contrast).flow
-    return LatticeEstimator(camera, config, make_contrast, imu), look
+    return partial(TorchContrast, device=config.device, capacity=config.max_events)

@@ -12,12 +12,7 @@ from emoflow_ros.core.belief import KnownRotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.confinement import is_confined
-from emoflow_ros.core.contrast import (
-    Contrast,
-    ContrastFactory,
-    WindowEvents,
-    best_constant_flow,
-)
+from emoflow_ros.core.contrast import Contrast, ContrastFactory, WindowEvents
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
@@ -31,7 +26,7 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
-from emoflow_ros.core.second_look import SEARCH_EVENTS, SEARCH_REACH_PX, best_start, is_lost
+from emoflow_ros.core.second_look import best_start, cold_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperature
 
@@ -140,12 +135,10 @@ class LatticeEstimator:
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""
         fit = self._fit
-        few = events.every(max(1, len(events) // SEARCH_EVENTS))
-        still = np.zeros(self.lattice.shape, np.float32)
-        constant = still + best_constant_flow(fit.contrasts[0.25], few, SEARCH_REACH_PX)
+        constant = cold_start(fit.contrasts[0.25], events, self.lattice.shape)
         fit.flow = constant
         if fit.known is not None:
-            turned = fit.turned(still, np.zeros(3))
+            turned = fit.turned(np.zeros(self.lattice.shape, np.float32), np.zeros(3))
             fit.flow = best_start(fit.contrasts[0.25], events, [constant, turned])
         fit.motion = None
         fit.structure = None

@@ -61,7 +61,8 @@ class MotionWindows:
         estimator: of the parts.
         camera: whose pixels are displaced.
         policy: max_displacement_px, in pixels of the working image, and min_count.
-        look: finds the flow of a window quickly; None where no flow shows.
+        look: finds the flow of a window quickly, None where no flow shows; if there is no such way,
+            first parts are not shortened.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class MotionWindows:
         estimator: Estimator,
         camera: Camera,
         policy: WindowPolicy,
-        look: Callable[[Window], FlowSampler | None],
+        look: Callable[[Window], FlowSampler | None] | None,
     ) -> None:
         self._estimator = estimator
         self._policy = policy
@@ -113,6 +114,8 @@ class MotionWindows:
         """Choose a part while no motion is known: one that is as short as its motion asks for."""
         share = _SHARES[max(0, self._failures - 1) % len(_SHARES)]
         part = shorter = window.since(self._choose_start(window, round(share * window.events.came)))
+        if self._look is None:
+            return part
         flow = self._look(part)
         while flow is not None:
             part = shorter

@@ -36,9 +36,9 @@ _ALL = 1_000_000_000
 _STEPS = ((0.25, 2_000, 5), (0.5, _ALL, 2))
 SCALES = tuple(scale for scale, _, _ in _STEPS)
 
-# The search for a start without any knowledge: number of events, and reach in px per window.
-SEARCH_EVENTS = 6_000
-SEARCH_REACH_PX = 48.0
+# The search for a start of a cold fit: number of events, and reach in px per window.
+_SEARCH_EVENTS = 6_000
+_SEARCH_REACH_PX = 48.0
 
 _EVENTS = 2_000  # number of events that is enough at low resolution
 _REACH_PX = 16.0  # reach of the fresh search, px per window
@@ -111,11 +111,10 @@ class QuickLook:
         events = prepare(window, self._image, self._config)
         if events is None:
             return None
-        few = events.every(max(1, len(events) // SEARCH_EVENTS))
-        start = best_constant_flow(self._contrasts[min(SCALES)], few, SEARCH_REACH_PX)
+        start = cold_start(self._contrasts[min(SCALES)], events, self._lattice.shape)
         try:
             with self._threads.limit(limits=1, user_api="blas"):
-                flow = self._fit.flow(events, np.zeros(self._lattice.shape, np.float32) + start)
+                flow = self._fit.flow(events, start)
         except np.linalg.LinAlgError:
             return None
         if self._contrasts[max(SCALES)].gain(events, flow) < self._config.min_contrast_gain:
@@ -148,6 +147,12 @@ def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) 
     """
     few = _some(events)
     return max(flows, key=lambda flow: contrast.gain(few, flow))
+
+
+def cold_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
+    """Search the constant flow like `fresh_start`, but further and with more events."""
+    few = events.every(max(1, len(events) // _SEARCH_EVENTS))
+    return np.zeros(shape, np.float32) + best_constant_flow(contrast, few, _SEARCH_REACH_PX)
 
 
 def fresh_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
