@@ -198,7 +198,7 @@ class Contrast:
         kernels.vote(position, events.weights, self.scale, parts)
         for image in parts:
             smooth(image, self._taps_twice)
-        np.subtract(parts.sum(axis=0), parts, out=parts)  # now what the other parts draw
+        kernels.without_own(parts)  # now what the other parts draw
         self._gradient[:] = 0.0
         self._curvature[:] = 0.0
         drawn = (

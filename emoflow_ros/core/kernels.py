@@ -137,6 +137,22 @@ def vote(position: F32, weights: F32, scale: float, images: F32) -> None:
                 image[at + down + right] += below * fx
 
 
+@numba.njit(cache=True, nogil=True)
+def without_own(images: F32) -> None:
+    """Replace each of the images (parts, h, w) by the sum of the others, in place."""
+    parts, h, w = images.shape
+    total = np.empty(w, np.float32)
+    for i in range(h):
+        for j in range(w):
+            total[j] = images[0, i, j]
+        for part in range(1, parts):
+            for j in range(w):
+                total[j] += images[part, i, j]
+        for part in range(parts):
+            for j in range(w):
+                images[part, i, j] = total[j] - images[part, i, j]
+
+
 @_fast
 def smooth(image: F32, taps: F32) -> None:
     """Convolve an image with a symmetric kernel along columns and rows, in place; zero outside.

@@ -114,8 +114,8 @@ class LatticeEstimator:
             if not warm:
                 self._start_anew()
                 stop = self._fit_cold(events)
-            gain = fit.contrasts[1.0].gain(events, fit.flow)
-            if gain < self.config.min_contrast_gain or self._is_confined(events):
+            gain = self._gain(events)
+            if self._shows_no_motion(events, gain):
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
             apart = self._check.disagreement(window, events, fit.flow)
             quality = self._quality(
@@ -149,8 +149,8 @@ class LatticeEstimator:
                 fit.step_free()
                 self._iterations += 1
         fit.linearise(events, 1.0)
-        if self._is_confined(events):  # `_estimate` refuses it: leave out the costly steps
-            return "confined"
+        if self._shows_no_motion(events, self._gain(events)):  # nor will the costly steps show any
+            return "no motion"
         free = fit.free_flow()
         found = self._epipolar.search(*free.evidence, sized=free.known is None)
         best = int(found.cost.argmin())
@@ -255,10 +255,16 @@ class LatticeEstimator:
             self._fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
         return after
 
-    def _is_confined(self, events: WindowEvents) -> bool:
-        fit = self._fit
+    def _gain(self, events: WindowEvents) -> float:
+        return self._fit.contrasts[1.0].gain(events, self._fit.flow)
+
+    def _shows_no_motion(self, events: WindowEvents, gain: float) -> bool:
+        """Tell whether the fit does not sharpen the events, or one spot is all that moves."""
+        fit, config = self._fit, self.config
+        if gain < config.min_contrast_gain:
+            return True
         evidence = np.trace(fit.evidence, axis1=1, axis2=2)  # at each node, px^-2
-        return self.config.model == "auto" and is_confined(
+        return config.model == "auto" and is_confined(
             self.lattice, fit.contrasts[1.0], events, fit.flow, evidence
         )
 
