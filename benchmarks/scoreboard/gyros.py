@@ -16,6 +16,7 @@ from emoflow_ros.simulation.simulated_truth import (
     reading_times,
 )
 from emoflow_ros.truth.ground_truth import PoseTrack
+from emoflow_ros.truth.text_truth import GyroTwist
 
 # 1000 Hz, 0.01 deg/s/sqrt(Hz), a bias of 1 deg/s and a scale error of 1 % in each axis.
 CONSUMER = ImuModel()
@@ -73,3 +74,15 @@ def rotation_rates(track: PoseTrack) -> tuple[NDArray[np.int64], NDArray[np.floa
 def own_gyro(imu: Imu | None) -> GyroReadings | None:
     """Take a recording's own gyro, which lies in the camera's axes; None where it has none."""
     return None if imu is None else GyroReadings.mounted(imu.t, imu.angular, np.eye(3))
+
+
+def without_bias(gyro: GyroReadings, rest_s: float) -> GyroTwist:
+    """Take a gyro as the truth, less the mean of its readings in the first `rest_s` seconds.
+
+    Args:
+        gyro: of a camera that is at rest until then.
+        rest_s: how long, s.
+    """
+    at_rest = gyro.t < gyro.t[0] + round(rest_s * NS_PER_S)
+    rates = gyro.w - gyro.w[at_rest].mean(axis=0)
+    return GyroTwist(gyro.t, rates, f"gyro, less its mean over the first {rest_s:g} s")

@@ -28,6 +28,7 @@ from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
 from emoflow_ros.core.second_look import best_start, cold_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
+from emoflow_ros.core.tremor import Tremor
 from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperature
 
 Array = NDArray[np.float64]
@@ -66,6 +67,7 @@ class LatticeEstimator:
         self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
         self._check = CrossCheck(self.lattice, self._epipolar, make_contrast, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
+        self._tremor = Tremor(self._image, self.lattice, self._epipolar, self._fit.contrasts[0.5])
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
@@ -130,7 +132,9 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         self._check.keep(result, fit.flow, apart)
-        return result
+        if measurement is not None or result.model is MotionModel.TRANSLATION or self._late():
+            return result
+        return self._tremor.add_to(result, events, fit.flow)
 
     def _fit_cold(self, events: WindowEvents) -> str:
         """Search a constant flow, refine it from coarse to fine, then add the egomotion."""

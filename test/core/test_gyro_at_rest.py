@@ -129,20 +129,21 @@ def test_after_a_jump_back_in_time_a_second_at_rest_teaches_the_bias_again():
 
 
 @pytest.mark.parametrize("still", [True, False])
-def test_a_camera_at_rest_does_not_turn_once_its_bias_is_known(still):
-    """Too few events in each window; the same without rest keeps the bias in w."""
+@pytest.mark.parametrize(("count", "reason"), [(20, "too_few_events"), (4000, "no_motion")])
+def test_a_camera_at_rest_does_not_turn_once_its_bias_is_known(still, count, reason):
+    """Too few events in each window, or noise; the same without rest keeps the bias in w."""
     sway = 0.0 if still else np.radians(0.5)
     found = noisy(lambda x: BIAS + sway * np.sin(20 * x), seconds=1.2)
-    estimator = LatticeEstimator(
-        Camera(64, 48, 60.0, 60.0, 32.0, 24.0), LatticeConfig(), imu=CONFIG
-    )
-    x = np.arange(20, dtype=np.uint16)
+    camera = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
+    estimator = LatticeEstimator(camera, LatticeConfig(), imu=CONFIG)
+    rng = np.random.default_rng(0)
     for t_start, t_end in windows(1.0):
-        t = t_start + np.arange(20) * MS
-        events = Events(x, x, t, np.ones(20, np.bool_))
+        x, y = (rng.integers(0, n, count).astype(np.uint16) for n in camera.size)
+        t = np.sort(rng.integers(t_start, t_end, count))
+        events = Events(x, y, t, rng.random(count) < 0.5)
         estimate = estimator.estimate(Window(t_start, t_end, events).with_gyro(found))
         assert estimate.status is Status.OK
-        assert estimate.quality.stop_reason == "too_few_events"
+        assert estimate.quality.stop_reason == reason
     off = np.degrees(np.linalg.norm(estimate.angular))
     assert off < 0.2 if still else off > 1.0
 

@@ -7,13 +7,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scoreboard import observe as observing
-from benchmarks.scoreboard.gyros import CONSUMER, gyro_of_poses, gyro_of_simulation, own_gyro
+from benchmarks.scoreboard.gyros import (
+    CONSUMER,
+    gyro_of_poses,
+    gyro_of_simulation,
+    own_gyro,
+    without_bias,
+)
 from benchmarks.scoreboard.observe import observe
 from benchmarks.scoreboard.subjects import Material, shared_subjects
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.recording import build_scene
 from emoflow_ros.simulation.simulated_truth import GroundTruth
@@ -92,5 +99,20 @@ def test_recordings_that_are_here_have_gyros(shared_data):
     near = calm.gyro.w[np.abs(calm.gyro.t - calm.events.t[len(calm.events) // 2]).argmin()]
     assert np.degrees(np.abs(w - near)).max() < 5
     assert CONSUMER.rate_hz == 1000
-    assert subjects["real/shapes_rotation_start"].load().gyro is not None
+    pan = subjects["real/shapes_rotation_start"].load()
+    assert pan.gyro is not None
+    bias = pan.gyro.w[pan.gyro.t < pan.gyro.t[0] + 600_000_000].mean(axis=0)
+    assert np.degrees(bias) == pytest.approx([3.3, 0.2, 0.1], abs=0.2)
+    later = int(pan.gyro.t[1000])
+    raw = pan.gyro.w[np.abs(pan.gyro.t - later) <= 5_000_000].mean(axis=0)
+    assert pan.truth.twists.twist(later).angular == pytest.approx(raw - bias, abs=0.01)
     assert subjects["real/slider_depth"].load().gyro is None
+
+
+def test_a_gyro_as_the_truth_does_without_the_bias_that_it_shows_at_rest():
+    t = np.arange(1000) * 1_000_000
+    bias, turn = np.array([0.05, -0.02, 0.01]), np.array([0.0, 0.7, 0.0])
+    readings = bias + np.outer(t >= 600_000_000, turn)
+    truth = without_bias(GyroReadings(t, readings), 0.6)
+    assert truth.twist(300_000_000).angular == pytest.approx(np.zeros(3), abs=1e-12)
+    assert truth.twist(800_000_000).angular == pytest.approx(turn, abs=1e-12)

@@ -1,0 +1,101 @@
+"""The tremor in a window's middle, of points that turn with a camera whose motion is known."""
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import SplineMotion
+from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.preparation import WorkingImage
+from emoflow_ros.core.tremor import Tremor
+
+CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
+LATTICE = Lattice.with_spacing(346, 260, 26.0)
+EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, 0.7)
+TREMOR = Tremor(WorkingImage.of(CAMERA), LATTICE, EPIPOLAR, Contrast(LATTICE, 0.5))
+NS = 135_000_000
+SECONDS = NS * 1e-9
+TURN = np.radians([5.0, -30.0, 4.0])  # rad/s, the mean over the window
+KNOWN = np.eye(6) * np.radians(1.0) ** 2
+
+
+def flow_of(w: np.ndarray) -> np.ndarray:
+    """Flow of a rotation w (3,) in rad/s, px per window."""
+    nodes = (EPIPOLAR.b @ (w * SECONDS)).reshape(LATTICE.columns, LATTICE.rows, 1, 2)
+    return np.repeat(nodes, 2, axis=2).astype(np.float32)
+
+
+def events(tremor: np.ndarray, points: int = 400, each: int = 25) -> WindowEvents:
+    """Points that turn by TURN and one period of a cosine, which is `tremor` (3,) in the middle."""
+    rng = np.random.default_rng(0)
+    place = rng.uniform([20, 20], [325, 240], (points, 2)).repeat(each, axis=0)
+    s = rng.random(points * each).astype(np.float32)
+    on = (rng.random(points) < 0.5).repeat(each)
+    # the cosine is 1 in the middle, s = 1/2, and has no mean: so far it has turned by that
+    shake = -np.sin(2 * np.pi * s) / (2 * np.pi)
+    moved = (s - 0.5)[:, None] * flow_at(place, TURN) + shake[:, None] * flow_at(place, tremor)
+    x, y = (place + moved).astype(np.float32).T
+    order = np.argsort(s)
+    return WindowEvents.prepare(x[order], y[order], s[order], on[order])
+
+
+def flow_at(points: np.ndarray, w: np.ndarray) -> np.ndarray:
+    return LATTICE.sample(flow_of(w), points, 0.5).astype(np.float64)
+
+
+def fitted() -> Estimate:
+    """An estimate of the mean rotation."""
+    return Estimate(
+        0, NS, NS // 2, Status.OK, Quality(10_000), MotionModel.ROTATION,
+        angular=TURN, covariance=KNOWN,
+        flow=LatticeFlow(LATTICE, flow_of(TURN), 0, NS),
+        motion=SplineMotion(0, NS, np.tile(TURN, (4, 1)), np.zeros((4, 3))),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_events_of_the_middle_tell_the_tremor(axis):
+    tremor = np.radians(20.0) * np.eye(3)[axis]
+    found = TREMOR.add_to(fitted(), events(tremor), flow_of(TURN))
+    change = found.angular - TURN
+    # The mean of the cosine over the middle 60 % is half of its height.
+    assert 0.35 < change[axis] / tremor[axis] < 0.65
+    assert np.abs(np.delete(change, axis)).max() < 0.15 * tremor[axis]
+    assert np.linalg.eigvalsh(found.covariance[3:, 3:] - KNOWN[3:, 3:]).min() > 0
+    assert (found.covariance[:3] == KNOWN[:3]).all()
+
+
+def test_flow_and_motion_hold_in_the_middle_and_the_displacement_stays():
+    before = fitted()
+    found = TREMOR.add_to(before, events(np.radians([0.0, 20.0, 0.0])), flow_of(TURN))
+    w = found.angular - TURN
+    assert found.motion.angular(found.t) == pytest.approx(found.angular, abs=1e-12)
+    assert found.motion.angular(0) == pytest.approx(TURN - w, abs=1e-12)
+    more = found.flow.velocity(found.t) - before.flow.velocity(before.t)
+    expected = LATTICE.image(flow_of(w)[:, :, 0]) / SECONDS
+    assert np.abs(more - expected).max() < 1e-3 * np.abs(expected).max() + 0.01
+    moved = found.flow.displacement(0, NS) - before.flow.displacement(0, NS)
+    assert np.abs(moved).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    "window",
+    [events(np.zeros(3)), events(np.radians([0.0, 20.0, 0.0]), points=10)],
+    ids=["no tremor", "few events"],
+)
+def test_nothing_is_added_where_the_middle_tells_nothing(window):
+    before = fitted()
+    assert TREMOR.add_to(before, window, flow_of(TURN)) is before
+
+
+def test_noise_tells_no_tremor():
+    rng = np.random.default_rng(1)
+    x, y = (rng.uniform(0, [[345], [259]], (2, 8000))).astype(np.float32)
+    s = np.sort(rng.random(8000)).astype(np.float32)
+    noise = WindowEvents.prepare(x, y, s, rng.random(8000) < 0.5)
+    before = fitted()
+    after = TREMOR.add_to(before, noise, flow_of(TURN))
+    assert np.degrees(np.linalg.norm(after.angular - TURN)) < 0.5
