@@ -85,4 +85,4 @@ def without_bias(gyro: GyroReadings, rest_s: float) -> GyroTwist:
     """
     at_rest = gyro.t < gyro.t[0] + round(rest_s * NS_PER_S)
     rates = gyro.w - gyro.w[at_rest].mean(axis=0)
-    return GyroTwist(gyro.t, rates, f"gyro, less its mean over the first {rest_s:g} s")
+    return GyroTwist(gyro.t, rates, "gyro", f"less its mean over the first {rest_s:g} s")

@@ -34,8 +34,7 @@ from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperat
 Array = NDArray[np.float64]
 
 _COARSE_EVENTS = 10_000  # are enough at reduced resolution
-_CONVERGED_PX = 0.01
-_STEPS_AFTER_CHANGE = 3
+_CONVERGED_PX, _STEPS_AFTER_CHANGE = 0.01, 3
 # 1 - |agreement| from which earlier windows no longer count: a tenth of the flow on the wrong side
 _DOUBT = 0.2
 _ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
@@ -87,11 +86,13 @@ class LatticeEstimator:
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
         measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
+        self._started = time.perf_counter()
         with self._threads.limit(limits=1, user_api="blas"):
-            return with_gyro(self._estimate(window, measurement), measurement, self.config)
+            found = self._estimate(window, measurement)
+        quality = replace(found.quality, runtime_s=time.perf_counter() - self._started)
+        return with_gyro(replace(found, quality=quality), measurement, self.config)
 
     def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
-        self._started = time.perf_counter()
         self._iterations = 0
         events = prepare(window, self._image, self.config)
         if events is None:
@@ -103,6 +104,7 @@ class LatticeEstimator:
         warm = last is not None and last.reaches(window)
         coarse = fit.contrasts[0.25]
         self._check.begin(window, events)
+        stop: str | None
         try:
             if warm and last is not None:
                 flows = last.flows(window)
@@ -117,7 +119,7 @@ class LatticeEstimator:
                 self._start_anew()
                 stop = self._fit_cold(events)
             gain = self._gain(events)
-            if self._shows_no_motion(events, gain):
+            if stop is None or self._shows_no_motion(events, gain):
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
             apart = self._check.disagreement(window, events, fit.flow)
             quality = self._quality(
@@ -132,20 +134,19 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         self._check.keep(result, fit.flow, apart)
-        if measurement is not None or result.model is MotionModel.TRANSLATION or self._late():
+        if measurement is not None or fit.straight or self._late():
             return result
         return self._tremor.add_to(result, events, fit.flow)
 
-    def _fit_cold(self, events: WindowEvents) -> str:
-        """Search a constant flow, refine it from coarse to fine, then add the egomotion."""
+    def _fit_cold(self, events: WindowEvents) -> str | None:
+        """Search a constant flow, refine it, then add the egomotion; None if nothing moves."""
         fit = self._fit
         constant = cold_start(fit.contrasts[0.25], events, self.lattice.shape)
         fit.flow = constant
         if fit.known is not None:
             turned = fit.turned(np.zeros(self.lattice.shape, np.float32), np.zeros(3))
             fit.flow = best_start(fit.contrasts[0.25], events, [constant, turned])
-        fit.motion = None
-        fit.structure = None
+        fit.motion = fit.structure = None
         fit.straight = False
         for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
             for _ in range(steps):
@@ -153,8 +154,8 @@ class LatticeEstimator:
                 fit.step_free()
                 self._iterations += 1
         fit.linearise(events, 1.0)
-        if self._shows_no_motion(events, self._gain(events)):  # nor will the costly steps show any
-            return "no motion"
+        if self._shows_no_motion(events, self._gain(events)):  # leave out the costly steps
+            return None
         free = fit.free_flow()
         found = self._epipolar.search(*free.evidence, sized=free.known is None)
         best = int(found.cost.argmin())
@@ -283,8 +284,7 @@ class LatticeEstimator:
         return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
 
     def _quality(self, used: int, stop: str, gain: float, **further: Any) -> Quality:
-        runtime = time.perf_counter() - self._started
-        return Quality(used, self._iterations, stop, gain, runtime_s=runtime, **further)
+        return Quality(used, self._iterations, stop, gain, **further)
 
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")

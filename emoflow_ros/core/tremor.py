@@ -27,8 +27,8 @@ _EVENTS = 8_000  # are enough for three numbers
 _FEWEST_EVENTS = 300
 _STEPS = 2
 _EXPECTED = np.radians(8.0)  # rad/s, standard deviation of a tremor in each axis
-# Control points of the cubic B-spline 1 - 8 (s - 1/2)^2: 1 in the middle, -1 at both ends.
-_BUMP = np.array([-43.0, 5.0, 5.0, -43.0]) / 3
+# Control points of the cubic B-spline 1 - 12 (s - 1/2)^2: 1 in the middle, 0 in the mean.
+_BUMP = np.array([-22.0, 2.0, 2.0, -22.0])
 
 
 class Tremor:
@@ -55,7 +55,8 @@ class Tremor:
         """Add what the events of the middle tell to w, its covariance and the flow.
 
         The change c of w in the middle, with information L, counts by the share
-        1 - 1 / (c^T L c) (James and Stein, 1961): not at all where it may be noise.
+        1 - 1 / (c^T L c), the less the weaker the evidence is (after James and Stein, 1961).
+        L includes what is expected beforehand.
 
         Args:
             estimate: of the window, with a flow.
@@ -92,9 +93,9 @@ class Tremor:
             return None
 
     def _bent(self, estimate: Estimate, w: Array) -> Estimate:
-        """Add w (3,), rad/s, to motion and flow in the middle, and take it away at both ends.
+        """Add w (3,), rad/s, to motion and flow in the middle, and take it away towards both ends.
 
-        So the displacement over the window stays.
+        So rotation and displacement over the window stay.
         """
         flow, motion = estimate.flow, estimate.motion
         assert isinstance(flow, LatticeFlow) and isinstance(motion, SplineMotion)

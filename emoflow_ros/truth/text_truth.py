@@ -134,22 +134,29 @@ def load_gyro(path: Path, camera: Camera) -> Truth:
 class GyroTwist:
     """Angular velocity as the mean of the gyroscope's readings around a time.
 
-    The DAVIS's axes are taken as the camera's, and the bias (up to a few deg/s) stays in: an
+    The DAVIS's axes are taken as the camera's. With its bias (up to a few deg/s) it is an
     independent check of the velocity from poses rather than a better one.
 
     Args:
         stamps: (N,) int64 ns, increasing.
         rates: (N, 3) rad/s.
         name: where they come from.
+        bias: what became of it, in words.
     """
 
-    def __init__(self, stamps: NDArray[np.int64], rates: NDArray[np.float64], name: str) -> None:
+    def __init__(
+        self,
+        stamps: NDArray[np.int64],
+        rates: NDArray[np.float64],
+        name: str,
+        bias: str = "bias not removed",
+    ) -> None:
         self._stamps = stamps
         self._rates = rates
         self.name = name
         self.description = (
             f"angular velocity: {name}, mean of the gyroscope within {GYRO_HALF_WIDTH_S * 1e3:.0f} "
-            "ms, bias not removed, its axes taken as the camera's"
+            f"ms, {bias}, its axes taken as the camera's"
         )
 
     def twist(self, t: int) -> TrueTwist | None:
