@@ -235,12 +235,7 @@ def best_rotation(
                 x -= b[n, 0, j] * w[j]
                 y -= b[n, 1, j] * w[j]
             r2[n] = x * x + y * y
-            squares = (
-                x * x * evidence[n, 0, 0]
-                + 2 * x * y * evidence[n, 0, 1]
-                + y * y * evidence[n, 1, 1]
-            )
-            cost += squares / (1 + r2[n] / inlier**2)
+            cost += _robust(x, y, evidence[n], inlier)
         scale = max(inlier**2, 2 * np.median(r2[usable]))
         for n in range(nodes):
             weight[n] = 1 / (1 + r2[n] / scale) ** 2

@@ -22,6 +22,7 @@ from emoflow_ros.core.normal_equations import gather_cells
 
 PARTS = 4  # parts of the window whose images are compared
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
+SIGMA = 1.0  # of the Gaussian that smooths the image, image pixels
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: that is the most costly part
 
 _DENSITY_CELL = 4  # side of the cells in which density is counted, px
@@ -139,14 +140,13 @@ class Contrast:
     Args:
         lattice: the flow field's lattice.
         scale: image pixels per sensor pixel.
-        sigma: of the Gaussian, in image pixels.
     """
 
-    def __init__(self, lattice: Lattice, scale: float, sigma: float = 1.0) -> None:
+    def __init__(self, lattice: Lattice, scale: float) -> None:
         self.lattice = lattice
         self.scale = scale
         self._area = scale**2  # makes contrasts of all scales alike
-        self._taps = gaussian(sigma)
+        self._taps = gaussian(SIGMA)
         self._taps_twice = np.convolve(self._taps, self._taps)
         margin = 2 * kernels.MARGIN
         shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
@@ -173,9 +173,13 @@ class Contrast:
         return 0.5 * self._area * float(flat @ flat)
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of the warped events over that of the events as they came."""
+        """Contrast of the warped events over that of the events as they came.
+
+        0 where the latter is 0, because as many events of either polarity lie at each pixel.
+        """
         sharp, _ = self.sharpen(events, flow)
-        return sharp / self.score(events, np.stack([events.x, events.y]))
+        as_came = self.score(events, np.stack([events.x, events.y]))
+        return sharp / as_came if as_came > 0 else 0.0
 
     def linearise(
         self,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from emoflow_ros.core.contrast import PAIRS, PARTS, WindowEvents, gaussian
+from emoflow_ros.core.contrast import PAIRS, PARTS, SIGMA, WindowEvents, gaussian
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
@@ -33,25 +33,22 @@ class TorchContrast:
     Args:
         lattice: the flow field's lattice.
         scale: image pixels per sensor pixel.
-        sigma: of the Gaussian, in image pixels.
         device: of torch.
         capacity: the most events that a window holds.
     """
 
-    def __init__(
-        self, lattice: Lattice, scale: float, sigma: float = 1.0, *, device: str, capacity: int
-    ) -> None:
+    def __init__(self, lattice: Lattice, scale: float, *, device: str, capacity: int) -> None:
+        # TF32 has too few digits. The switch is the process's, so two threads must not turn it.
+        torch.backends.cudnn.allow_tf32 = False
         self.lattice = lattice
         self.scale = scale
-        self._again = partial(
-            TorchContrast, lattice, scale, sigma, device=device, capacity=capacity
-        )
+        self._again = partial(TorchContrast, lattice, scale, device=device, capacity=capacity)
         self._area = scale**2
         self._shift = (MARGIN + 0.5) * scale - 0.5
         height = int((lattice.height + 2 * MARGIN) * scale) + 1
         width = int((lattice.width + 2 * MARGIN) * scale) + 1
         self._shape = (height, width)
-        taps = gaussian(sigma)
+        taps = gaussian(SIGMA)
         self._taps = torch.tensor(taps, device=device)
         self._taps_twice = torch.tensor(np.convolve(taps, taps), device=device)
         self._inner = torch.tensor([width - 2, height - 2], device=device)
@@ -82,11 +79,12 @@ class TorchContrast:
         return self._energy(image).item()
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of the warped events over that of the events as they came."""
+        """Contrast of the warped events over that of the events as they came; 0 where that is 0."""
         self._load(events, flow)
         sharp = self._energy(self._draw(self._warp(), self._events.weights))
         x, y, _, weights = self._events.columns
-        return (sharp / self._energy(self._draw(torch.stack([x, y], dim=1), weights))).item()
+        as_came = self._energy(self._draw(torch.stack([x, y], dim=1), weights))
+        return torch.where(as_came > 0, sharp / as_came, 0.0).item()
 
     def linearise(
         self,
@@ -182,9 +180,8 @@ class TorchContrast:
     def _smooth(self, images: Tensor, taps: Tensor) -> Tensor:
         """Convolve images (n, h, w) with a kernel along rows and columns, zero outside."""
         radius = len(taps) // 2
-        with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            down = conv2d(images[:, None], taps[None, None, :, None], padding=(radius, 0))
-            return conv2d(down, taps[None, None, None], padding=(0, radius))[:, 0]
+        down = conv2d(images[:, None], taps[None, None, :, None], padding=(radius, 0))
+        return conv2d(down, taps[None, None, None], padding=(0, radius))[:, 0]
 
     def _slope(self, images: Tensor, at: Tensor, first: Tensor) -> Tensor:
         """Gradients (2, N) of the images' bilinear interpolants at positions."""

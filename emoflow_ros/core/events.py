@@ -191,7 +191,7 @@ SLICE_BIN_NS = 5 * NS_PER_MS
 
 
 class TimeJumpError(Exception):
-    """Event time went backwards: the caller decides whether to reset or to refuse."""
+    """Event time went backwards within one stream."""
 
     def __init__(self, last: int, now: int) -> None:
         super().__init__(f"event time went back by {(last - now) / NS_PER_S:.6f} s")

@@ -264,8 +264,8 @@ class BiasFilter:
 
     def update(
         self, difference: Array, covariance: Array, repeat_s: float, *, at_rest: bool = False
-    ) -> bool:
-        """Take the gyro's reading less the events' estimate; False if it is an outlier.
+    ) -> None:
+        """Take the gyro's reading less the events' estimate; outliers are left out.
 
         Args:
             difference: (3,) rad/s.
@@ -275,7 +275,7 @@ class BiasFilter:
         """
         apart = difference - self.mean
         if apart @ np.linalg.solve(self.covariance + covariance, apart) > _OUTLIER:
-            return False
+            return
         repeated = max(1.0, repeat_s / max(self._since_update[at_rest], 1e-3))
         noise = repeated * covariance
         gain = np.linalg.solve(self.covariance + noise, self.covariance).T
@@ -283,4 +283,3 @@ class BiasFilter:
         self.mean = self.mean + gain @ apart
         self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
         self._since_update[at_rest] = 0.0
-        return True

@@ -89,8 +89,7 @@ class LatticeEstimator:
         self._started = time.perf_counter()
         with self._threads.limit(limits=1, user_api="blas"):
             found = self._estimate(window, measurement)
-        quality = replace(found.quality, runtime_s=time.perf_counter() - self._started)
-        return with_gyro(replace(found, quality=quality), measurement, self.config)
+        return with_gyro(found, measurement, self.config)
 
     def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
         self._iterations = 0

@@ -138,7 +138,7 @@ class LatticeFit:
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
         roughness = second.T @ second + 0.1 * first.T @ first
-        self._roughness = np.kron(roughness, np.eye(3)).astype(np.float64)
+        self._roughness = np.kron(roughness, np.eye(3))
         self._stillness = np.zeros(
             (MOTION_UNKNOWNS, MOTION_UNKNOWNS)
         )  # of a camera that does not turn

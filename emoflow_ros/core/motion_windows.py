@@ -148,7 +148,8 @@ class MotionWindows:
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""
-        times = np.linspace(part.t_start, part.t_end, _LEGS + 1).astype(np.int64).tolist()
+        length = part.t_end - part.t_start  # by itself: float64 rounds times since 1970 to 256 ns
+        times = [part.t_start + int(t) for t in np.linspace(0, length, _LEGS + 1)]
         legs = np.diff(flow.tracks(self._grid, times), axis=0)
         return float(np.quantile(np.linalg.norm(legs, axis=-1).sum(axis=0), _FAST))
 

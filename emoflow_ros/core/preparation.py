@@ -178,10 +178,12 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
         events: on the sensor, of at least 20 ms; shorter ones are returned as they are.
         width, height: of the sensor in pixels.
     """
-    if not len(events) or (events.t[-1] - events.t[0]) * 1e-9 < _SHORTEST_LAMP_S:
+    if not len(events):
         return events
     some = spread(events, len(events) // max(1, len(events) // _LAMP_SAMPLE))
     seconds = ((some.t - some.t[0]) * 1e-9).astype(np.float32)
+    if seconds[-1] < _SHORTEST_LAMP_S:
+        return events
     flickers = _flickering_blocks(some, seconds, width, height)
     if not flickers.any():
         return events

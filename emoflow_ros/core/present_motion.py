@@ -108,7 +108,8 @@ class PresentMotion:
             return None
         part = clean(window, self._image.sensor).since(window.t_end - scene.length_ns)
         middle = (part.t_start + part.t_end) // 2
-        turned = self._turned(scene, middle, window.gyro)
+        gyro = None if _is_frozen(window) else window.gyro
+        turned = self._turned(scene, middle, gyro)
         drift = self._drift.copy()
         if turned is not None:
             drift[:3] = 0.0
@@ -121,13 +122,13 @@ class PresentMotion:
         if scene.known is not None:
             if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
                 return None
-        elif turned is None or not _carries(window):
+        elif turned is None or not _is_fresh(window):
             return None
-        now = self._turned(scene, window.t_end, window.gyro)
+        now = self._turned(scene, window.t_end, gyro)
         if turned is not None and now is not None:
             change[:3] += now - turned
         elif since > 0:
-            drift[:3] = _drift_by(drift[0], change[:3], since)
+            drift[:3] = _drift_by(self._drift[0], change[:3], since)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
         return _read(window.t_end, scene, change, covariance)
 
@@ -187,15 +188,21 @@ def _drift_by(configured: float, change: Array, seconds: float) -> float:
     return 0.5 * (expected + float(change @ change) / (3 * seconds))
 
 
-def _carries(window: Window) -> bool:
-    """Tell whether a slice's gyro can carry the motion on alone: read lately, and not frozen."""
+def _is_frozen(window: Window) -> bool:
+    """Tell whether the gyro of a slice repeats its last reading, which tells nothing."""
+    if window.gyro is None:
+        return False
+    watch = FreezeWatch()
+    watch.take(window.gyro.covering(window.t_start, window.t_end, 0))
+    return watch.until is not None
+
+
+def _is_fresh(window: Window) -> bool:
+    """Tell whether the gyro was read lately enough to carry the motion on alone."""
     if window.gyro is None:
         return False
     readings = window.gyro.covering(window.t_start, window.t_end, 0)
-    watch = FreezeWatch()
-    watch.take(readings)
-    late = not len(readings) or window.t_end - int(readings.t[-1]) > _GYRO_FRESH_NS
-    return not late and watch.until is None
+    return len(readings) > 0 and window.t_end - int(readings.t[-1]) <= _GYRO_FRESH_NS
 
 
 def _measured(gyro: GyroReadings | None, t: int) -> Array | None:

@@ -266,8 +266,11 @@ def warped_counts(
 def _carried(events: Events, window: Window, flow: FlowSampler, t: int) -> NDArray[np.float64]:
     """Move the events (N, 2) along the flow, those of each slice of the window together."""
     points = np.stack([events.x, events.y], axis=1).astype(np.float64)
-    edges = np.linspace(window.t_start, window.t_end, _SLICES + 1).astype(np.int64)
+    # By the length: float64 rounds times since 1970 to 256 ns.
+    length = window.t_end - window.t_start
+    edges = window.t_start + np.linspace(0, length, _SLICES + 1).astype(np.int64)
     bounds = np.searchsorted(events.t, edges)
+    bounds[-1] = len(events)  # of a window by count, which has some at its end
     for i in range(_SLICES):
         mine = slice(bounds[i], bounds[i + 1])
         middle = int(edges[i] + edges[i + 1]) // 2

@@ -25,6 +25,7 @@ _REFUSALS = {
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
+    "slices_failed": "slices failed, which give the motion of now: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
     "messages_skipped": "messages left out: events come faster than the node decodes them; lower "
     "their rate, or give the node more of the processor",
@@ -127,6 +128,7 @@ class Statistics:
         self.counts["worker_restarts"] += loss.worker
         self.counts["windows_failed"] += loss.task is not None
         self.counts["internal_errors"] += bool(loss.trace)
+        self.counts["slices_failed"] += not (loss.worker or loss.task or loss.trace)
         self._last_loss = loss.reason
 
     def set_problem(self, part: str, level: Level, message: str) -> None:

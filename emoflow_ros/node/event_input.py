@@ -207,6 +207,9 @@ class EventInput:
         if (events.t[1:] < events.t[:-1]).any():
             self._leave_out("event times within it are out of order")
             return None
+        if is_jump(int(events.t[-1] - events.t[0])):
+            self._leave_out("event times jump within it")
+            return None
         step = 0 if self._last is None else int(events.t[0]) - self._last
         if is_jump(step):
             self._start_epoch(step)

@@ -140,9 +140,8 @@ class EventSource:
         self._named = others
 
     def _take_events(self, data: bytes) -> None:
-        if not self._hears_events:
-            self._hears_events = True
-            self._statistics.clear_problem("qos")
+        self._hears_events = True
+        self._statistics.clear_problem("qos")  # there may be more publishers than the deaf one
         self._callbacks.events(data)
 
     def _unsubscribe(self) -> None:
@@ -204,7 +203,8 @@ class EventSource:
             "qos",
             Level.ERROR,
             f"{topic.name}: no event arrives: a publisher offers {offered}, but {asked} is asked "
-            f"for; change qos_overrides.{topic.name}.subscription.* or the publisher",
+            f"for; activate the node again, or change qos_overrides.{topic.name}.subscription.* or "
+            "the publisher",
         )
         self._node.get_logger().error(
             self._statistics.problems["qos"][1], throttle_duration_sec=_THROTTLE_S

@@ -32,6 +32,7 @@ from emoflow_ros.core.estimate import (
 )
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.settings import OutputOptions, ScaleOptions
 from emoflow_ros.node.target_frame import LATEST, Matrix, make_target_frame
 from emoflow_ros.node.tasks import Present, Result, Task
@@ -226,13 +227,12 @@ class SpeedInput:
             return
         self.problem = ""
         self._node.destroy_timer(self._timer)
-        self._subscription = self._node.create_subscription(
-            message_type,
-            name,
-            partial(self._take, ros_type=types[0]),
-            _SPEED_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        take = partial(self._take, ros_type=types[0])
+        overrides = QoSOverridingOptions.with_default_policies()
+        with refused_values():  # of qos_overrides; they cannot change, so this ends the node
+            self._subscription = self._node.create_subscription(
+                message_type, name, take, _SPEED_QOS, qos_overriding_options=overrides
+            )
 
     def _take(self, message: Any, ros_type: str) -> None:
         stamp, speed = to_speed(message, ros_type)

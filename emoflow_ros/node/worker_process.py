@@ -49,6 +49,7 @@ class WorkerProcess:
             its.close()
             its_slices.close()
         self.pid: int | None = self._process.pid
+        self._killed_because = ""
         self._channel = Channel(mine, stall_s)
         self._slices = Channel(my_slices, stall_s)
 
@@ -82,7 +83,7 @@ class WorkerProcess:
             reason = f"the worker gave no answer in {limit:g} s and was ended"
             raise WorkerDiedError(reason) from None
         except (EOFError, OSError):
-            raise WorkerDiedError(f"the worker died ({self._exit_reason()})") from None
+            raise WorkerDiedError(self._cause_of_death()) from None
 
     def check(self) -> None:
         """Notice a death between two requests.
@@ -91,10 +92,11 @@ class WorkerProcess:
             WorkerDiedError: it is dead.
         """
         if not self._process.is_alive():
-            raise WorkerDiedError(f"the worker died ({self._exit_reason()})")
+            raise WorkerDiedError(self._cause_of_death())
 
-    def kill(self) -> None:
-        """End it at once. Any thread may call this at any time."""
+    def kill(self, reason: str = "") -> None:
+        """End it at once, and say why, if not on request. Any thread may call this at any time."""
+        self._killed_because = self._killed_because or reason
         with contextlib.suppress(ValueError, OSError):
             self._process.kill()
 
@@ -107,13 +109,16 @@ class WorkerProcess:
         with contextlib.suppress(ValueError):  # it has not ended yet
             self._process.close()
 
-    def _exit_reason(self) -> str:
+    def _cause_of_death(self) -> str:
+        if self._killed_because:
+            return self._killed_because
         try:
             self._process.join(1.0)
             code = self._process.exitcode
         except ValueError:  # closed by another thread
             code = None
-        return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        cause = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        return f"the worker died ({cause})"
 
 
 class SliceFeed:
@@ -160,13 +165,13 @@ class SliceFeed:
             outcome: Present | Loss | None = None
             try:
                 outcome = self._estimate(worker, task)
-            except WorkerDiedError:
-                worker.kill()
+            except WorkerDiedError as error:
+                worker.kill(str(error))
             except Exception as error:  # the node would go on without this thread
                 if self._stopping.is_set():
                     break
-                worker.kill()  # it may still answer, and that would be taken for the next answer
                 reason = f"an error in the node ({type(error).__name__}: {error})"
+                worker.kill(reason)  # it may still answer: that would be taken for the next answer
                 outcome = Loss(reason, worker=False, trace=traceback.format_exc())
             if outcome is not None:
                 with contextlib.suppress(Exception):  # of `wake`: the outcome is in the queue
@@ -176,5 +181,8 @@ class SliceFeed:
         request = pack_window(task.window)
         header, arrays = worker.estimate_slice(*request, self._timeout_s)
         if "error" in header:
-            return Loss(f"a slice failed: {header['error']}", worker=False)
+            reason = f"a slice failed: {header['error']}"
+            if header.get("fatal"):
+                worker.kill(reason)
+            return Loss(reason, worker=False)
         return unpack_present(task, header, arrays)

@@ -1,5 +1,6 @@
 """Windows of a stream with more events than they may hold: the same however it comes."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -152,12 +153,14 @@ class Seen:
     def __init__(self) -> None:
         self.windows: list[Window] = []
         self.resets = 0
+        self.seconds = 0.0
 
     def reset(self) -> None:
         self.resets += 1
 
     def estimate(self, window: Window) -> Estimate:
         self.windows.append(window)
+        time.sleep(self.seconds)
         return Estimate(window.t_start, window.t_end, 0, Status.NO_MOTION, Quality(0))
 
 
@@ -172,3 +175,11 @@ def test_an_estimator_gets_what_the_node_would_send_it():
     assert max(len(w.events) for w in seen.windows) <= budget.capacity < 3000
     offline.reset()
     assert seen.resets == 1
+
+
+def test_the_time_of_the_whole_estimate_is_noted():
+    seen = Seen()
+    seen.seconds = 0.02
+    window = WindowSlicer(BY_MOTION).push(stream(10_000, 5))[0]
+    found = BoundedWindows(seen, EventBudget(BY_MOTION, 500)).estimate(window)
+    assert 0.02 <= found.quality.runtime_s < 2

@@ -58,3 +58,12 @@ def test_the_block_that_flickers_is_left_out(hz):
 ])  # fmt: skip
 def test_noise_edges_and_what_is_too_short_or_few_stay(events):
     assert without_flicker(events, WIDTH, HEIGHT) is events
+
+
+def test_many_events_of_one_instant_before_a_gap_stay():
+    rng = np.random.default_rng(0)
+    x, y = rng.integers(0, (WIDTH, HEIGHT), (200_000, 2)).astype(np.uint16).T
+    t = np.zeros(200_000, np.int64)
+    t[-1] = S // 10
+    events = Events(x, y, t, rng.random(200_000) < 0.5)
+    assert without_flicker(events, WIDTH, HEIGHT) is events

@@ -123,7 +123,7 @@ def test_an_estimate_agrees_with_itself(overlapping):
         assert quality.contrast_gain > CONFIG.min_contrast_gain
         assert 0.5 < quality.inlier_fraction <= 1
         assert 0 < quality.residual_px < 0.5
-        assert quality.iterations > 0 < quality.runtime_s
+        assert quality.iterations > 0
         assert quality.stop_reason in ("converged", "iterations")
 
 

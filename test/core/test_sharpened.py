@@ -72,3 +72,13 @@ def test_warp_brings_the_events_of_a_moving_point_together():
     assert after[13, 14] > 0.85 * after.sum()
     still = Window(window.t_start, window.t_end, window.events[:1])
     assert warped_counts(still, Steady(), 80 * MS, WIDTH, HEIGHT)[11, 18] == 1
+
+
+def test_times_since_1970_are_exact() -> None:
+    start = 1_700_000_000_123_456_866  # float64 rounds it up by 30 ns
+    events = Events(*np.array([[10], [15]], np.uint16), np.array([start]), np.ones(1, bool))
+    counts = warped_counts(
+        Window(start, start + 80 * MS, events), Steady(), start + 52 * MS, WIDTH, HEIGHT
+    )
+    y, x = np.nonzero(counts)
+    assert x > 12 and y < 15

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
@@ -87,3 +89,16 @@ def test_a_camera_at_rest_does_not_move():
         estimate = estimator.estimate(window)
         assert estimate.status in (Status.TOO_FEW_EVENTS, Status.NO_MOTION)
         assert_says_nothing(estimate)
+
+
+def test_light_that_blinks_everywhere_at_once_is_no_motion():
+    """As many ON as OFF events at every pixel: the image of the events as they came is empty."""
+    rng = np.random.default_rng(0)
+    x, y = (np.repeat(c, 2) for c in rng.integers(0, (346, 260), (7000, 2)).astype(np.uint16).T)
+    t = START + np.sort(rng.integers(0, 90 * NS_PER_MS, len(x)))
+    blinks = Events(x, y, t, np.tile([True, False], 7000))
+    estimate = make_estimator(CAMERA, load_config()).estimate(
+        Window(START, START + 135 * NS_PER_MS, blinks)
+    )
+    assert estimate.status is Status.NO_MOTION
+    assert_says_nothing(estimate)

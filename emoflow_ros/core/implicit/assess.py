@@ -179,7 +179,7 @@ class Residuals:
         normal += 1e-12 * np.trace(normal) * np.eye(len(normal))  # what nothing tells is unknown
         step = np.linalg.solve(normal, rows.T @ self.r[self.inliers])
         left_over = max(1.0, share * len(self.r) - len(normal))
-        variance = self.scale**2 * len(self.r) / left_over
+        variance = self.scale**2 * np.count_nonzero(self.inliers) / left_over
         covariance: Array = variance * np.linalg.inv(normal) + np.outer(step, step)
         return self.freedom @ covariance @ self.freedom.T
 
@@ -192,9 +192,15 @@ def epipolar_residuals(bearings: Array, flow: Array, v: Array, w: Array) -> Resi
         flow: (N, 2) there, 1/s.
         v: (N, 3) linear velocity of any scale; its direction is what is free to change.
         w: (N, 3) angular velocity, rad/s.
+
+    Raises:
+        numpy.linalg.LinAlgError: v has no direction, or there is no residual.
     """
+    speed = np.linalg.norm(v, axis=-1, keepdims=True)
+    if not len(v) or not (speed > 0).all():
+        raise np.linalg.LinAlgError("the motion has no direction")
     a, b = motion_matrices(bearings)
-    v = v / np.linalg.norm(v, axis=-1, keepdims=True)
+    v = v / speed
     line = np.einsum("nij,nj->ni", a, v)
     norm = np.linalg.norm(line, axis=-1, keepdims=True)
     normal = np.stack([-line[:, 1], line[:, 0]], axis=-1) / np.maximum(norm, 1e-12)

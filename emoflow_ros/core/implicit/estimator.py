@@ -3,9 +3,8 @@
 The flow is that of the fitted field: at any instant, over any interval, along tracks.
 """
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -54,29 +53,26 @@ class ImplicitEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
-        began = time.perf_counter()
         events = self._select(window.events)
         middle = (window.t_start + window.t_end) // 2
         if len(events) < self._config.min_events:
-            status = Status.TOO_FEW_EVENTS
-            quality = Quality(len(events), stop_reason=status.value)
-            return Estimate(window.t_start, window.t_end, middle, status, quality)
+            return self._nothing(window, Status.TOO_FEW_EVENTS, Quality(len(events)))
         problem = self._problem(window, events)
         camera = self._camera
         result = fit(problem, self._config)
-        found = assess(problem, result, (camera.fx + camera.fy) / 2, self._config)
-        ok = found.status is Status.OK
-        quality = Quality(
-            events=len(events),
-            iterations=result.iterations,
-            stop_reason=result.stop_reason if ok else found.status.value,
+        quality = Quality(len(events), result.iterations, result.stop_reason)
+        try:
+            found = assess(problem, result, (camera.fx + camera.fy) / 2, self._config)
+        except np.linalg.LinAlgError:  # the motion has no direction, or is not finite
+            return self._nothing(window, Status.DIVERGED, quality)
+        quality = replace(
+            quality,
             contrast_gain=found.contrast_gain,
             residual_px=found.residual_px,
             inlier_fraction=found.inlier_fraction,
-            runtime_s=time.perf_counter() - began,
         )
-        if not ok:
-            return Estimate(window.t_start, window.t_end, middle, found.status, quality)
+        if found.status is not Status.OK:
+            return self._nothing(window, found.status, quality)
         rotation = self._config.loss.geometry == "rotation"
         motion = SplineMotion(
             window.t_start, window.t_end, found.angular_points, found.linear_points
@@ -96,6 +92,11 @@ class ImplicitEstimator:
             ),
             motion=motion,
         )
+
+    def _nothing(self, window: Window, status: Status, quality: Quality) -> Estimate:
+        middle = (window.t_start + window.t_end) // 2
+        quality = replace(quality, stop_reason=status.value)
+        return Estimate(window.t_start, window.t_end, middle, status, quality)
 
     def _select(self, events: Events) -> Events:
         """Keep the events on the sensor, at most max_events of them, drawn at random."""
