@@ -251,3 +251,15 @@ def test_worst_problem_is_reported_until_cleared(clock: Clock) -> None:
     assert statistics.report(2.0).message == "waiting"
     statistics.clear_problem("input")
     assert statistics.report(2.0).level is Level.OK
+
+
+def test_slices_that_fail_are_a_warning(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    statistics.add_events(1)
+    statistics.add_loss(Loss("a slice failed: ValueError: no tracks", worker=False))
+    report = statistics.report(2.0)
+    assert report.level is Level.WARN
+    assert report.message == (
+        "1 slices failed, which give the motion of now: a slice failed: ValueError: no tracks"
+    )
+    assert report.values["windows_failed"] == "0"

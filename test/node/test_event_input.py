@@ -133,6 +133,15 @@ def test_disorder_within_a_message_leaves_it_out(bench: Bench) -> None:
     assert "out of order" in bench.warnings[0]
 
 
+@pytest.mark.parametrize("late_ms", [11_000, 1_700_000_000_000])
+def test_jump_within_a_message_leaves_it_out(bench: Bench, late_ms: int) -> None:
+    bench.push(1000, 1004)
+    assert bench.push(1006, 1006 + late_ms, 1007 + late_ms) == []
+    assert "event times jump within it" in bench.warnings[0]
+    [task] = bench.push(1012)
+    assert (len(task.window.events), bench.input.epoch) == (2, 0)
+
+
 def test_malformed_message_is_counted_and_said(bench: Bench) -> None:
     assert bench.input.push(b"\x00\x01\x00\x00\x07") == []
     assert bench.statistics.counts["malformed_messages"] == 1

@@ -229,3 +229,12 @@ def test_messages_that_are_left_out_are_told_to_who_takes_the_others() -> None:
     assert bench.received == [*messages[:5], messages[-1]]
     assert bench.skips == [LeftOut(7, jump=0)]
     assert bench.statistics.counts["messages_skipped"] == 7
+
+
+def test_a_second_publisher_that_is_not_heard_is_no_lasting_problem() -> None:
+    b = Bench("/events")
+    b.look()
+    b.source._take_events(b"")
+    b.statistics.set_problem("qos", Level.ERROR, "no event arrives")  # of the second publisher
+    b.source._take_events(b"")
+    assert "qos" not in b.statistics.problems
