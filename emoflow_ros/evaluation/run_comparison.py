@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.metrics import bootstrap_interval, paired_p_value
+from emoflow_ros.evaluation.recording_options import make_folder
 from emoflow_ros.report.documents import render, svg_uri, write_json
 from emoflow_ros.report.figures import runs_over_time
 
@@ -97,7 +98,7 @@ def main(arguments: Sequence[str]) -> int:
     runs = [load_run(path) for path in options.runs]
     if len(runs) < 2:
         raise InputError(options.runs[0], "one run alone", "give two or more to compare")
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     print(write_comparison(runs, options.out))
     return 0
 

@@ -26,6 +26,7 @@ from emoflow_ros.evaluation.recording_options import (
     make_folder,
     overrides,
     positive,
+    positive_number,
 )
 from emoflow_ros.labels.label_chunks import Job, label_chunk
 from emoflow_ros.labels.label_run import JobRunner, Settings, label_all
@@ -75,7 +76,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     add_configuration_options(parser)
     add(
         "--chunk-s",
-        type=_seconds,
+        type=positive_number,
         default=30.0,
         metavar="S",
         help="length of a chunk of time, which one worker labels (default: 30)",

@@ -158,7 +158,7 @@ class DsecRecording(FileRecording):
         """
         if DsecFolder(path).recognised:
             return True
-        is_dsec = path.with_name(_RECTIFY_MAP).is_file()
+        is_dsec = path.is_file() and path.with_name(_RECTIFY_MAP).is_file()
         return is_dsec and holds(path, [f"events/{name}" for name in _COLUMNS])
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:

@@ -2,6 +2,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.options import option, options_of, replace_options
 from emoflow_ros.errors import InputError
 
@@ -91,3 +92,9 @@ def test_values_are_checked_together():
     assert replace_options(start, together).inner == Inner(count=9, mode="slow")
     with pytest.raises(InputError, match="too many for fast"):
         replace_options(Outer(), {"inner.mode": "fast", "inner.count": 6})
+
+
+def test_off_which_yaml_reads_as_false_is_a_choice() -> None:
+    assert replace_options(GyroConfig(use="auto"), {"use": False}).use == "off"
+    with pytest.raises(InputError, match="use: True is not of type str"):
+        replace_options(GyroConfig(), {"use": True})

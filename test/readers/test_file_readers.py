@@ -245,3 +245,10 @@ def test_calibration_of_another_size(tmp_path, events):
 def test_files_have_no_topics(tmp_path, events):
     path = write_raw(tmp_path / "a.raw", "% evt 3.0\n% end\n", evt3(events))
     assert_refused(path, "no topics", topic="/events")
+
+
+@pytest.mark.parametrize("path", [".", "/"])
+def test_a_folder_that_is_no_recording_is_refused(tmp_path, monkeypatch, path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError):
+        open_recording(Path(path))
