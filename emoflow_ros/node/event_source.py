@@ -203,8 +203,7 @@ class EventSource:
             "qos",
             Level.ERROR,
             f"{topic.name}: no event arrives: a publisher offers {offered}, but {asked} is asked "
-            f"for; activate the node again, or change qos_overrides.{topic.name}.subscription.* or "
-            "the publisher",
+            f"for; change qos_overrides.{topic.name}.subscription.* or the publisher",
         )
         self._node.get_logger().error(
             self._statistics.problems["qos"][1], throttle_duration_sec=_THROTTLE_S
