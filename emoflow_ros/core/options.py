@@ -96,7 +96,7 @@ def _checked(name: str, value: Any, default: Any, meta: Mapping[str, Any]) -> An
     kind = type(default)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    if value is False and "off" in (meta["choices"] or ()):
+    if value is False and "off" in meta["choices"]:
         value = "off"  # which YAML reads as false
     if type(value) is not kind:
         raise InputError(name, f"{value!r} is not of type {kind.__name__}", "correct the value")

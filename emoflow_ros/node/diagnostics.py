@@ -25,7 +25,7 @@ _REFUSALS = {
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
-    "slices_failed": "slices failed, which give the motion of now: {loss}",
+    "slices_failed": "slices failed, so motions of now are missing: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
     "messages_skipped": "messages left out: events come faster than the node decodes them; lower "
     "their rate, or give the node more of the processor",

@@ -250,16 +250,21 @@ def test_few_events_tell_nothing_of_now() -> None:
     assert present.estimate(replace(window, events=spread(window.events, 250))) is None
 
 
-def test_a_gyro_that_ends_within_the_slice_is_less_sure_at_its_end() -> None:
-    its, estimate = last("calm")
+def after_a_window_with_a_gyro(scene: str) -> tuple[PresentMotion, Window, GyroReadings]:
+    """The motion of now that knows a window, a slice after it, and that slice's readings."""
+    its, estimate = last(scene)
     used = replace(estimate, gyro=GyroStatus(GyroState.USED))
     present = its.present()
     present.know(used, with_gyro(its.slice(estimate.t_end), its, np.zeros(3)).gyro)
-    t = estimate.t_end + LATE_NS
-    whole = with_gyro(its.slice(t), its, np.zeros(3))
-    assert whole.gyro is not None
-    before = whole.gyro.t < t - 40 * NS_PER_MS
-    short = replace(whole, gyro=GyroReadings(whole.gyro.t[before], whole.gyro.w[before]))
+    later = with_gyro(its.slice(estimate.t_end + LATE_NS), its, np.zeros(3))
+    assert later.gyro is not None
+    return present, later, later.gyro
+
+
+def test_a_gyro_that_ends_within_the_slice_is_less_sure_at_its_end() -> None:
+    present, whole, gyro = after_a_window_with_a_gyro("calm")
+    before = gyro.t < whole.t_end - 40 * NS_PER_MS
+    short = replace(whole, gyro=GyroReadings(gyro.t[before], gyro.w[before]))
     sure, unsure = present.estimate(whole), present.estimate(short)
     assert sure is not None and unsure is not None
     # The drift that is expected of 60 deg/s per root second over the slice's second half, 30 ms
@@ -269,14 +274,8 @@ def test_a_gyro_that_ends_within_the_slice_is_less_sure_at_its_end() -> None:
 
 
 def test_a_frozen_gyro_does_not_hold_the_motion() -> None:
-    its, estimate = last("agile")
-    used = replace(estimate, gyro=GyroStatus(GyroState.USED))
-    present = its.present()
-    present.know(used, with_gyro(its.slice(estimate.t_end), its, np.zeros(3)).gyro)
-    t = estimate.t_end + LATE_NS
-    alive = with_gyro(its.slice(t), its, np.zeros(3))
-    assert alive.gyro is not None
-    frozen = replace(alive, gyro=GyroReadings(alive.gyro.t, np.ones_like(alive.gyro.w)))
-    found, without = present.estimate(frozen), present.estimate(its.slice(t))
+    present, alive, gyro = after_a_window_with_a_gyro("agile")
+    frozen = replace(alive, gyro=GyroReadings(gyro.t, np.ones_like(gyro.w)))
+    found, without = present.estimate(frozen), present.estimate(replace(alive, gyro=None))
     assert found is not None and without is not None
     np.testing.assert_array_equal(found.twist.angular, without.twist.angular)

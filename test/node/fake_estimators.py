@@ -162,6 +162,20 @@ class Still:
         raise ValueError("no tracks")
 
 
+class Exhausted(Recorder):
+    """The motion of now runs out of memory."""
+
+    def estimate(self, window: Window) -> Estimate:
+        return replace(super().estimate(window), flow=Large())
+
+
+class Large:
+    """A flow that no memory holds."""
+
+    def tracks(self, points: np.ndarray, times: Sequence[int]) -> np.ndarray:
+        raise MemoryError("no memory")
+
+
 class Slow(Recorder):
     """Needs 50 ms for a window."""
 

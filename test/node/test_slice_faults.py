@@ -29,6 +29,20 @@ def test_slice_that_fails_costs_neither_a_window_nor_the_worker(
     assert b.supervisor.pid == first
 
 
+def test_slice_that_runs_out_of_memory_costs_the_worker(bench: Callable[..., Bench]) -> None:
+    b = bench("Exhausted")
+    b.put(t=1000)
+    b.result()
+    first = b.supervisor.pid
+    b.put_slice(t_end=1100)
+    losses = [b.loss(), b.loss()]
+    assert [loss.worker for loss in losses].count(True) == 1
+    assert all("a slice failed: MemoryError: no memory" in loss.reason for loss in losses)
+    b.put(t=2000)
+    assert b.result().estimate.angular[1] == 1  # a fresh estimator
+    assert b.supervisor.pid != first
+
+
 def wait_for_stop(pid: int) -> None:
     """Wait until a signal has stopped all threads of a process."""
     deadline = time.monotonic() + WAIT_S
