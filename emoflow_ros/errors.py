@@ -20,11 +20,11 @@ class InputError(Exception):
 
     def __init__(self, where: object, wrong: str, fix: str) -> None:
         super().__init__(f"{where}: {wrong}; {fix}")
-        self._parts = str(where), wrong, fix
+        self.where, self.wrong, self.fix = str(where), wrong, fix
 
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
         """Let it cross from one process to another."""
-        return type(self), self._parts
+        return type(self), (self.where, self.wrong, self.fix)
 
 
 def keep_traceback(error: BaseException) -> str:

@@ -146,8 +146,8 @@ def test_commands_work_and_say_in_one_line_what_is_missing(
     photo = ("random", "--set", "texture=photo", "--out", tmp_path)
     install_torch = "install it (pip install torch torchdiffeq), or use"
     refused = {
-        ("evaluate", bag, "--profile", "paper"): "profile: paper needs PyTorch; "
-        f"{install_torch} the profile realtime",
+        ("evaluate", bag, "--profile", "paper"): "method: implicit (profile paper) needs "
+        f"PyTorch; {install_torch} the method lattice (profile realtime)",
         ("evaluate", bag, "--set", "estimator.device=cuda"): "estimator.device: CUDA needs "
         f"PyTorch; {install_torch} cpu",
         ("evaluate", packed, *calib): f"{packed}: compressed with blosc, which the installed "

@@ -3,7 +3,8 @@
 A driver stamps a message with the host's time when its first event arrived, which is the event's
 time plus a delay that varies but is never negative. The smallest differences between stamp and
 sensor time therefore lie along the true offset (plus the smallest delay), and their slope over
-time is the drift of one clock against the other.
+time is the drift of one clock against the other. Where they leave that line for seconds, the
+host's clock was set anew, and the line is fitted to what came after.
 
 A sensor whose times are ROS time already differs by a delay alone, and its times are left as they
 are. Such a clock may also have been set from the host's once: as soon as the differences move away
@@ -25,6 +26,8 @@ _BUCKETS = 60
 _MIN_BUCKETS = 5  # before that a slope would be noise
 # How fast the offset may change, in ns per ns: below 1, so that time never goes back.
 _START_SLEW = 0.5
+# Differences this far from their line, for more than _MIN_BUCKETS seconds: a clock was set anew.
+_STEP_NS = 100 * NS_PER_MS
 # A clock on ROS time drifts if its differences move by more than this, and than their scatter.
 _MIN_DRIFT_NS = NS_PER_MS
 _DRIFT_IN_SCATTERS = 3.0
@@ -65,6 +68,8 @@ class ClockMap:
         # line `_target` + `drift_ppm` * (t - `_reference`).
         self._since = self._held = self._reference = self._target = 0
         self._slew = _START_SLEW
+        self._has_line = False
+        self._far = 0  # how many of the latest minima are far from the line
         self._minima: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)  # (sensor time, difference)
 
     def observe(self, sensor: int, stamp: int) -> None:
@@ -85,9 +90,7 @@ class ClockMap:
 
     def offset(self, t: int) -> int:
         """ROS time minus sensor time at sensor time t, in ns."""
-        line = 0
-        if not self._on_ros_time:
-            line = self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
+        line = 0 if self._on_ros_time else self._line(t)
         reach = round(self._slew * max(0, t - self._since))
         return self._held + min(max(line - self._held, -reach), reach)
 
@@ -95,13 +98,16 @@ class ClockMap:
         """Map a sensor time to ROS time, in ns; before the first observation it is unchanged."""
         return t + self.offset(t)
 
+    def _line(self, t: int) -> int:
+        return self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
+
     def _track(self, sensor: int, difference: int) -> None:
         assert self._first is not None
         if self._minima and self._minima[-1][0] // _BUCKET_NS == sensor // _BUCKET_NS:
             if difference >= self._minima[-1][1]:
                 return
             self._minima.pop()
-        else:
+        elif self._is_line_wanted():
             self._fit()
         self._minima.append((sensor, difference))
         if len(self._minima) < _MIN_BUCKETS:
@@ -118,11 +124,28 @@ class ClockMap:
         if abs(self._target) > max(_MIN_DRIFT_NS, _DRIFT_IN_SCATTERS * self._scatter):
             self._on_ros_time = False
 
+    def _is_line_wanted(self) -> bool:
+        """Tell whether to fit the finished seconds; those before a step are forgotten.
+
+        While the latest minima are far from the line, it stays: their messages may be late.
+        """
+        if len(self._minima) < _MIN_BUCKETS:
+            return False
+        if not self._has_line:
+            return True
+        t, difference = self._minima[-1]
+        is_far = abs(difference - self._delay - self._line(t)) > _STEP_NS
+        self._far = self._far + 1 if is_far else 0
+        if self._far <= _MIN_BUCKETS:
+            return not is_far
+        while len(self._minima) > self._far:
+            self._minima.popleft()
+        self._far = 0
+        return True
+
     def _fit(self) -> None:
         """Fit the line through the minima of the finished seconds (Theil-Sen)."""
-        if len(self._minima) < _MIN_BUCKETS:
-            return
-        self._slew = _TRACKING_SLEW
+        self._has_line = True
         self._reference = self._minima[-1][0]
         base = self._minima[-1][1]
         t, d = np.array([(a - self._reference, b - base) for a, b in self._minima], float).T
@@ -134,3 +157,5 @@ class ClockMap:
         scatter = float(np.percentile(np.abs(d - slope * t - intercept), 90))
         self._scatter = max(self._scatter, scatter)
         self._aim(base + round(intercept))
+        is_near = abs(self._line(self._since) - self._held) < _STEP_NS
+        self._slew = _TRACKING_SLEW if is_near or self._on_ros_time else _START_SLEW

@@ -111,8 +111,9 @@ class GyroConfig:
         text = self.rotation.strip()
         angles = ROTATIONS.get(text) or _angles(text)
         if angles is None:
-            wrong = "only the node has tf" if text == ROTATION_FROM_TF else f"'{text}'"
-            names = ", ".join(ROTATIONS)
+            wrong, names = f"'{text}' is no rotation", ", ".join((*ROTATIONS, ROTATION_FROM_TF))
+            if text == ROTATION_FROM_TF:
+                wrong, names = "only the node has tf", ", ".join(ROTATIONS)
             raise InputError(
                 "imu.rotation", wrong, f"give 'roll,pitch,yaw' in degrees, or one of {names}"
             )
@@ -239,9 +240,9 @@ def require_torch(config: Config) -> None:
         return
     if not isinstance(config.estimator, LatticeConfig):
         raise InputError(
-            "profile",
-            f"{config.profile} needs PyTorch",
-            f"{_INSTALL_TORCH}, or use the profile realtime",
+            "method",
+            f"{config.method} (profile {config.profile}) needs PyTorch",
+            f"{_INSTALL_TORCH}, or use the method lattice (profile realtime)",
         )
     if config.estimator.device != "cpu":
         raise InputError("estimator.device", "CUDA needs PyTorch", f"{_INSTALL_TORCH}, or use cpu")

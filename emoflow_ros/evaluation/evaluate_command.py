@@ -21,6 +21,7 @@ from emoflow_ros.evaluation.gyro_check import check_lines
 from emoflow_ros.evaluation.metrics import TrackComparer
 from emoflow_ros.evaluation.protocols import (
     CAUSAL,
+    DSEC,
     POLICIES,
     PROTOCOLS,
     WINDOWS,
@@ -166,10 +167,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _run(options: argparse.Namespace) -> int:
+    _require_dsec(options)
     config = load_config(options.profile, overrides(options))
     config = with_choice(config, options.imu, check=options.check_imu)
-    windows = adapt_windows(config.window, options.protocol, options.policy)
-    config = replace(config, window=windows)
+    config = replace(config, window=adapt_windows(config.window, options.protocol, options.policy))
     if options.ablate:
         variants_of(options.ablate, config)  # refused before anything is estimated
     sequence = find_sequence(options.sequence) if options.sequence else None
@@ -242,25 +243,26 @@ def _run(options: argparse.Namespace) -> int:
         submission.report()
     if ablation:
         print(table_of(ablation))
-    if ablation and ablation.interrupted:
-        print("interrupted: the table has the variants done until then", file=sys.stderr)
-        return cli.EXIT_INTERRUPTED
+        if ablation.interrupted:
+            print("interrupted: the table has the variants done until then", file=sys.stderr)
+            return cli.EXIT_INTERRUPTED
     if run.interrupted:
         print("interrupted; the same command with --resume continues", file=sys.stderr)
         return cli.EXIT_INTERRUPTED
     return 0 if any(w.ok for w in run.windows) else _EXIT_NOTHING_ESTIMATED
 
 
+def _require_dsec(options: argparse.Namespace) -> None:
+    """Refuse options of DSEC's protocol with another one."""
+    for name in ("timestamps", "submission"):
+        if getattr(options, name) is not None and options.protocol != DSEC:
+            raise InputError(f"--{name}", f"is for protocol {DSEC} only", f"give --protocol {DSEC}")
+
+
 def _submission(options: argparse.Namespace, plan: Plan, camera: Camera) -> Submission | None:
     """Prepare the flow images of --submission."""
     if options.submission is None:
         return None
-    if not plan.images:
-        raise InputError(
-            "--submission",
-            f"the protocol '{options.protocol}' makes no flow images",
-            "give --protocol dsec",
-        )
     name = options.sequence or options.input.resolve().name
     return Submission(options.submission, name, plan.images, camera, keep=options.resume)
 
@@ -284,8 +286,7 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
 
 
 def _print_summary(run: Evaluation, report: Report) -> None:
-    ok = sum(w.ok for w in run.windows)
-    print(f"{ok} of {len(run.windows)} windows estimated")
+    print(f"{sum(w.ok for w in run.windows)} of {len(run.windows)} windows estimated")
     if run.imu:
         print(f"IMU: {run.imu}; gyro {shares(w.gyro for w in run.windows)}")
     for m in report.measures:

@@ -236,6 +236,8 @@ def read_gyro(recording: Recording, config: GyroConfig, choice: str | None) -> G
     named = choice if choice != OFF else None
     if named is not None and Path(named).is_file():
         imu: Imu | None = read_imu_text(Path(named))
+    elif named is not None and "." in named:  # no topic has a dot
+        raise InputError(f"--imu {named}", "no such file", "check the path")
     else:
         imu = recording.imu(named)
     if imu is None:

@@ -109,16 +109,17 @@ def load_run(folder: Path) -> Run:
     Raises:
         InputError: no run in this folder.
     """
-    path = folder / "report.json"
+    path, fix = folder / "report.json", "give a folder written by 'evaluate'"
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         if not {"windows", "summary", "configuration"} <= report.keys():
             raise KeyError("windows, summary or configuration is missing")
-    except (OSError, ValueError, KeyError, AttributeError) as error:
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(path, f"cannot be read ({reason})", fix) from None
+    except (ValueError, KeyError, AttributeError) as error:
         reason = " ".join(str(error).split())
-        raise InputError(
-            path, f"not a report ({reason})", "give a folder written by 'evaluate'"
-        ) from None
+        raise InputError(path, f"not a report ({reason})", fix) from None
     return Run(folder.name, report)
 
 

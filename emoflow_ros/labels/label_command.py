@@ -123,7 +123,8 @@ def _run(options: argparse.Namespace) -> int:
     if failed:
         print(f"{len(failed)} of {len(plans)} recordings could not be labelled:", file=sys.stderr)
         for plan in failed:
-            print(f"  {plan.source.path}: {plan.error}", file=sys.stderr)
+            name = f"{plan.source.path}: "
+            print(f"  {name}{plan.error.removeprefix(name)}", file=sys.stderr)
     return _EXIT_SOME_FAILED if failed else 0
 
 

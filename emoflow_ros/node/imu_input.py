@@ -98,6 +98,11 @@ class ImuInput:
         self._clock = clock
         self._buffer = ReadingBuffer()
         self._waiting: deque[Task] = deque()
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Forget the readings and the mounting: another IMU may follow."""
+        self._buffer.clear()
         self._frame = ""
         self._heard: float | None = None
         self._rotation: NDArray[np.float64] | None = None

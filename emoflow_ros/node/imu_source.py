@@ -78,6 +78,7 @@ class ImuSource:
     def listen(self, topic: EventTopic) -> None:
         """Take the IMU beside this event topic from now on."""
         self.stop()
+        self._input.start_over()
         self._topic = topic_beside(self._node, topic, "imu")
         self._subscription = PolledSubscription(
             self._node, Imu, self._topic, _QOS, self._input.take

@@ -189,7 +189,8 @@ def render() -> str:
         "## With the profile `realtime`\n",
         _render_table(usual),
         "## The estimator's with the profile `paper`\n",
-        "They take the place of those above with `paper`, `paper_early_stop` and `paper_dsec`.\n",
+        "They take the place of those above with `paper`, `paper_early_stop` and `paper_dsec`. The "
+        "defaults are those of\n`paper`; `config/PROFILE.yaml` says what the other two change.\n",
         _render_table(own),
     ]
     return "\n".join(parts)

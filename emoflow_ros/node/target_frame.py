@@ -8,12 +8,14 @@ from rclpy.node import Node
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import OutputOptions
 
 type Matrix = NDArray[np.float64]
 
 LATEST = 0  # as a stamp: the latest rotation that is known
+_DISORDER = NS_PER_S
 
 
 class NoTransformError(Exception):
@@ -118,13 +120,22 @@ class TfFrame:
         self._name = name
         self._buffer = self._tf.Buffer()
         self._listener = self._tf.TransformListener(self._buffer, node)
+        self._last = LATEST
 
     def name(self, optical_frame: str) -> str:
         """Name the frame."""
         return self._name
 
     def rotation(self, optical_frame: str, stamp: int) -> Matrix:
-        """Look the rotation up."""
+        """Look the rotation up.
+
+        Where stamps go back, as in a bag that is played again, what tf said before is forgotten:
+        tf2 refuses transforms that are older than its buffer.
+        """
+        if stamp != LATEST:
+            if stamp < self._last - _DISORDER:
+                self._buffer.clear()
+            self._last = stamp
         return self.between(self._name, optical_frame, stamp)
 
     def between(self, target: str, source: str, stamp: int) -> Matrix:

@@ -26,6 +26,15 @@ RANDOM = "random"
 _EVENT_TYPES = {name.rpartition("/")[2]: name for name in (EVENT_ARRAY, POINT_CLOUD)}
 _FIRST_START_OF_CLOUDS = 1  # s; before it their times could count from zero
 _OF_SCENES = ("distortion", "fps", "threshold", "mismatch", "refractory_us", "noise")
+# The options by the names that the simulation has for their values.
+_OPTIONS = {
+    "duration": "--duration",
+    "fps": "--fps",
+    "sensor.threshold": "--threshold",
+    "sensor.mismatch": "--mismatch",
+    "sensor.refractory_us": "--refractory-us",
+    "sensor.noise_hz": "--noise",
+}
 _DISTORTION, _FPS = "equidistant", 1000
 _LAST_START = 2**31 - 3600  # ROS 2 stamps hold seconds in 31 bits
 
@@ -50,7 +59,7 @@ examples:
 
 def main() -> int:
     """Run the command line."""
-    return run(lambda: _simulate(_parser().parse_args()))
+    return run(lambda: _run(_parser().parse_args()))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -148,7 +157,22 @@ def _imu_model(args: argparse.Namespace) -> ImuModel:
     names = [info.name for info in options_of(ImuModel())]
     given = {name: getattr(args, f"imu_{name}") for name in names}
     values |= {name: value for name, value in given.items() if value is not None}
-    return replace_options(ImuModel(), values, "--imu-")
+    return replace_options(ImuModel(), values, "imu.")
+
+
+def _run(args: argparse.Namespace) -> None:
+    try:
+        _simulate(args)
+    except InputError as error:
+        raise InputError(_as_option(error.where), error.wrong, error.fix) from None
+
+
+def _as_option(where: str) -> str:
+    """Name what is wrong as the command line does."""
+    group, _, name = where.partition(".")
+    if group == "imu":
+        return "--imu-" + name.replace("_", "-")
+    return _OPTIONS.get(where, where)
 
 
 def _simulate(args: argparse.Namespace) -> None:

@@ -38,6 +38,31 @@ def test_time_never_goes_back(timestamps):
     assert np.all(np.diff(mapped) > 0)
 
 
+@pytest.mark.parametrize(("at_s", "step_s"), [(8, 0.3), (30, 2.0), (70, 8.0)])
+def test_host_clock_that_was_set_forward_is_followed_within_half_a_minute(at_s, step_s):
+    clock = ClockMap(Timestamps.FUSED)
+    errors, mapped = {}, []
+    for sensor, true, stamp in messages(np.random.default_rng(3), at_s + 40, 50.0):
+        step = round(step_s * S) if sensor >= (5 + at_s) * S else 0
+        clock.observe(sensor, stamp + step)
+        mapped.append(clock.to_ros(sensor))
+        errors[sensor // S - 5] = mapped[-1] - true - step
+    assert np.all(np.diff(mapped) > 0)
+    assert abs(errors[at_s + 2]) == pytest.approx(step_s * S, rel=0.01)  # it may be a delay
+    assert max(abs(errors[k]) for k in range(at_s + 30, at_s + 40)) < MS
+    assert clock.drift_ppm == pytest.approx(50.0, abs=20.0)
+
+
+def test_messages_that_are_late_for_seconds_move_nothing():
+    clock = ClockMap(Timestamps.FUSED)
+    errors = []
+    for sensor, true, stamp in messages(np.random.default_rng(4), 60, 50.0):
+        late = 500 * MS if 30 <= sensor // S - 5 < 34 else 0
+        clock.observe(sensor, stamp + late)
+        errors.append(clock.to_ros(sensor) - true)
+    assert np.abs(errors[2000:]).max() < MS
+
+
 def test_sensor_times_are_left_alone():
     clock = ClockMap(Timestamps.SENSOR)
     clock.observe(5 * S, OFFSET)

@@ -159,7 +159,7 @@ def test_roll_pitch_and_yaw_are_those_of_urdf():
 
 @pytest.mark.parametrize("text", ["", "1,2", "a,b,c", "nan,0,0", "evk"])
 def test_other_rotations_are_refused(text):
-    with pytest.raises(InputError, match=r"^imu\.rotation: .*; give 'roll,pitch,yaw' in degrees"):
+    with pytest.raises(InputError, match=r"^imu\.rotation: '.*' is no rotation; give .*, tf$"):
         load_config(overrides={"imu.rotation": text})
 
 

@@ -200,7 +200,8 @@ def test_sequence_to_report_and_submission(call, capsys, tmp_path, dsec):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--submission", "x"], "--submission: the protocol 'windows' makes no flow images"),
+        (["--submission", "x"], "--submission: is for protocol dsec only"),
+        (["--timestamps", "x"], "--timestamps: is for protocol dsec only"),
         (["--policy", "paper"], "--policy paper: the protocol 'windows' has no intervals"),
         (["--protocol", "dsec", "--calib", "calib.txt"], "without --calib"),
     ],

@@ -109,6 +109,7 @@ def test_a_file_takes_the_place_of_the_recordings_own(call, folder, tmp_path):
 
 def test_what_cannot_be_used_is_refused_in_one_line(call, folder):
     assert "not a bag: no IMU topic '/camera/imu'" in call("--imu", "/camera/imu")[2][0]
+    assert "--imu none.txt: no such file; check" in call("--imu", "none.txt")[2][0]
     rows = np.loadtxt(folder / "imu.txt")
     rows[:, 0] += 500
     np.savetxt(folder / "imu.txt", rows, fmt="%.9f")

@@ -82,7 +82,7 @@ def test_page_and_json(tmp_path, epe, capsys):
 
 
 def test_bad_runs(tmp_path, epe):
-    with pytest.raises(InputError, match="not a report"):
+    with pytest.raises(InputError, match=r"cannot be read \(no such file or directory\)"):
         load_run(tmp_path)
     (tmp_path / "report.json").write_text("{}")
     with pytest.raises(InputError, match="not a report"):

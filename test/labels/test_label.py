@@ -260,6 +260,7 @@ def test_recordings_that_fail_do_not_cost_the_others(monkeypatch, tmp_path, ecd,
     ):
         (line,) = [line for line in listed.splitlines() if line.startswith(f"  {path}: ")]
         assert reason in line
+        assert line.count(f"{path}: ") == 1
     assert len(list((tmp_path / "out" / "unsorted.parts").glob("*.h5"))) == 2  # before the damage
 
 

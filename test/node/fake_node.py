@@ -97,9 +97,10 @@ class FakeTf(ModuleType):
         self.known = False
         self.listening = 0
         self.asked: list[tuple[str, str, int]] = []
+        self.cleared = 0
 
     def Buffer(self) -> Any:  # noqa: N802
-        return SimpleNamespace(lookup_transform=self._lookup)
+        return SimpleNamespace(lookup_transform=self._lookup, clear=self._clear)
 
     def TransformListener(self, buffer: Any, node: Any) -> Any:  # noqa: N802
         self.listening += 1
@@ -107,6 +108,9 @@ class FakeTf(ModuleType):
 
     def _unregister(self) -> None:
         self.listening -= 1
+
+    def _clear(self) -> None:
+        self.cleared += 1
 
     def _lookup(self, target: str, source: str, time: Any) -> Any:
         self.asked.append((target, source, time.nanoseconds))

@@ -60,7 +60,10 @@ class Bench:
         if self.pipeline.imu is not None:
             self.pipeline.imu._input._clock = lambda: 0.0  # no window has waited long enough
         [self.supervisor] = supervisors
-        self.pipeline.take_topic(EventTopic("/left/events", DVS))
+        self.listen("/left/events")
+
+    def listen(self, topic: str) -> None:
+        self.pipeline.take_topic(EventTopic(topic, DVS))
         info = deserialize_message(ENCODER.camera_info(0, CAMERA), CameraInfo)
         self.pipeline.take_camera_info(info)
 
@@ -97,6 +100,17 @@ def test_windows_go_to_the_worker_with_their_readings(monkeypatch) -> None:
     bench.imu(1011, 1022)
     [second] = bench.supervisor.jobs()
     assert (second.task.window.gyro.t // MS).tolist() == list(range(1010, 1021))
+
+
+def test_the_imu_of_another_event_topic_starts_anew(monkeypatch) -> None:
+    bench = Bench(monkeypatch, use="auto")
+    bench.imu(990, 1011)
+    bench.events(1000, 1011)
+    assert bench.supervisor.jobs()[0].task.window.gyro is not None
+    bench.listen("/right/events")
+    bench.events(1000, 1011)
+    [job] = bench.supervisor.jobs()
+    assert job.task.window.gyro is None  # not a reading of the left camera's IMU
 
 
 def test_a_window_that_waits_is_handed_on_by_the_timer(monkeypatch) -> None:

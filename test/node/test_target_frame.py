@@ -9,7 +9,7 @@ from fake_node import install_fake_tf
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import OutputOptions
-from emoflow_ros.node.target_frame import NoTransformError, make_target_frame
+from emoflow_ros.node.target_frame import LATEST, NoTransformError, make_target_frame
 
 OPTICAL_IN_BODY = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
 
@@ -62,6 +62,19 @@ def test_tf_is_asked_at_the_stamp(monkeypatch: pytest.MonkeyPatch) -> None:
     assert frame.name("optical") == "base"
     frame.close()
     assert tf.listening == 0
+
+
+def test_tf_of_an_earlier_run_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    tf = install_fake_tf(monkeypatch)
+    tf.known = True
+    frame = make_target_frame(None, OutputOptions(target_frame="base"))
+    second = 1_000_000_000
+    for stamp in (20 * second, 21 * second, LATEST, 21 * second - 5):
+        frame.rotation("optical", stamp)
+    assert tf.cleared == 0
+    frame.rotation("optical", 3 * second)
+    frame.rotation("optical", 4 * second)
+    assert tf.cleared == 1
 
 
 def test_tf_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

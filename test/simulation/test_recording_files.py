@@ -223,7 +223,9 @@ def test_executable_overwrites_bags_but_no_other_folder(monkeypatch, capsys, tmp
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("--duration", "-1"), "duration: -1.0 s; give"),
+        (("--duration", "-1"), "error: --duration: -1.0 s; give"),
+        (("--fps", "1"), "error: --fps: 1; give"),
+        (("--imu-rate-hz", "0"), "--imu-rate-hz: 0.0 is out of range; use 1 to 10000"),
         (("--seed", "-1"), "--seed: -1; give"),
         (("--name", "a/b"), "--name: 'a/b' is a path; give"),
         (("--start-time", "-5"), "--start-time: -5.0 s; give"),
@@ -232,7 +234,7 @@ def test_executable_overwrites_bags_but_no_other_folder(monkeypatch, capsys, tmp
             "--start-time: 0.5 s with --events PointCloud2; give 1 or more",
         ),
         (("--imu-noise", "-1"), "--imu-noise: -1.0 is out of range; use 0 to 100"),
-        (("--threshold", "0"), "sensor.threshold: on 0.0, off 0.0; give"),
+        (("--threshold", "0"), "error: --threshold: on 0.0, off 0.0; give"),
     ],
 )
 def test_executable_answers_bad_values_in_one_line(
