@@ -203,7 +203,7 @@ class EstimatorNode(LifecycleNode):
             source = EventSource(
                 self,
                 search=TopicSearch(self, self._settings.node.input.type),
-                is_ready=lambda: pipeline.is_ready,
+                obstacle=lambda: pipeline.obstacle,
                 is_used=lambda: pipeline.is_topic_used,
                 length_ns=lambda: self._settings.backlog_ns,
                 callbacks=Callbacks(

@@ -59,7 +59,7 @@ class EventSource:
     Args:
         node: to subscribe with.
         search: decides what to listen to.
-        is_ready: whether messages can be taken yet.
+        obstacle: why messages cannot be taken yet; empty once they can.
         is_used: whether events of the present topic have been used, and would now be mixed with
             those of another one.
         length_ns: how much event time messages may cover while they wait, ns.
@@ -72,14 +72,14 @@ class EventSource:
         node: Node,
         *,
         search: TopicSearch,
-        is_ready: Callable[[], bool],
+        obstacle: Callable[[], str],
         is_used: Callable[[], bool],
         length_ns: Callable[[], int],
         callbacks: Callbacks,
         statistics: Statistics,
     ) -> None:
         self._node = node
-        self._is_ready = is_ready
+        self._obstacle = obstacle
         self._is_used = is_used
         self._length_ns = length_ns
         self._callbacks = callbacks
@@ -106,8 +106,9 @@ class EventSource:
             self._look_once()
 
     def _look_once(self) -> None:
-        if not self._is_ready():
-            self._statistics.set_problem("input", Level.WARN, "the worker is starting")
+        if obstacle := self._obstacle():
+            level = Level.ERROR if self._statistics.counts["worker_restarts"] else Level.WARN
+            self._statistics.set_problem("input", level, obstacle)
             return
         if self._hears_events and (self._is_used() or not self._search.has_own()):
             self._name_others()

@@ -20,7 +20,7 @@ from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.settings import Settings, calibration_path
-from emoflow_ros.node.supervisor import Supervisor
+from emoflow_ros.node.supervisor import STARTING, Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Result, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
@@ -107,9 +107,9 @@ class Pipeline:
         self._supervisor.start()
 
     @property
-    def is_ready(self) -> bool:
-        """Whether the worker is warm."""
-        return self._supervisor.ready.is_set()
+    def obstacle(self) -> str:
+        """Why the worker takes no window yet; empty once it was warm."""
+        return "" if self._supervisor.ready.is_set() else self._supervisor.obstacle or STARTING
 
     @property
     def hears_camera_info(self) -> bool:

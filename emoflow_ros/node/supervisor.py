@@ -20,6 +20,7 @@ from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
 from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
+STARTING = "the worker is starting"
 
 _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0
@@ -62,7 +63,7 @@ class Supervisor:
         self.queue: DropOldestQueue[Job] = DropOldestQueue(capacity)
         self.outcomes: SimpleQueue[Outcome] = SimpleQueue()
         self.ready = threading.Event()
-        self.obstacle = "the worker is starting"
+        self.obstacle = STARTING
         self._timeout_s = timeout_s
         self._may_use_cpu = may_use_cpu
         self._on_cpu = False  # because the device failed

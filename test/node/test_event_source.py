@@ -13,6 +13,7 @@ from headers import message
 from emoflow_ros.node.diagnostics import Level, Statistics
 from emoflow_ros.node.event_feed import LeftOut
 from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.tasks import Loss
 from emoflow_ros.node.topic_search import SETTLING_S, EventTopic, TopicSearch
 
 LENGTH_NS = 20_000_000
@@ -29,12 +30,12 @@ class Bench:
         self.received: list[bytes] = []
         self.skips: list[LeftOut] = []
         self.pause_s = 0.0  # for each message
-        self.ready = True
+        self.obstacle = ""
         self.used = False
         self.source = EventSource(
             self.graph,  # type: ignore[arg-type]
             search=TopicSearch(self.graph, "", self.graph.clock),  # type: ignore[arg-type]
-            is_ready=lambda: self.ready,
+            obstacle=lambda: self.obstacle,
             is_used=lambda: self.used,
             length_ns=lambda: LENGTH_NS,
             callbacks=Callbacks(self._take, self._receive, self.skips.append, lambda info: None),
@@ -66,11 +67,15 @@ class Bench:
 
 def test_nothing_is_taken_before_the_worker_is_ready() -> None:
     bench = Bench(ASKED)
-    bench.ready = False
+    bench.obstacle = "the worker is starting"
     bench.look()
     assert bench.listens == set()
     assert bench.problem == (Level.WARN, "the worker is starting")
-    bench.ready = True
+    bench.obstacle = "the worker died; it is started again"
+    bench.statistics.add_loss(Loss(bench.obstacle, worker=True))
+    bench.look()
+    assert bench.problem == (Level.ERROR, "the worker died; it is started again")
+    bench.obstacle = ""
     bench.look()
     assert bench.listens == {ASKED, "/camera_info"}
     assert bench.problem is None
