@@ -27,6 +27,7 @@ _MIN_BUCKETS = 5  # before that a slope would be noise
 # How fast the offset may change, in ns per ns: below 1, so that time never goes back.
 _START_SLEW = 0.5
 # Differences this far from their line, for more than _MIN_BUCKETS seconds: a clock was set anew.
+# With events on ROS time (within SAME_CLOCK_NS of the stamps) it may be a delay.
 _STEP_NS = 100 * NS_PER_MS
 # A clock on ROS time drifts if its differences move by more than this, and than their scatter.
 _MIN_DRIFT_NS = NS_PER_MS
@@ -134,7 +135,8 @@ class ClockMap:
         if not self._has_line:
             return True
         t, difference = self._minima[-1]
-        is_far = abs(difference - self._delay - self._line(t)) > _STEP_NS
+        most = SAME_CLOCK_NS if self._on_ros_time else _STEP_NS
+        is_far = abs(difference - self._delay - self._line(t)) > most
         self._far = self._far + 1 if is_far else 0
         if self._far <= _MIN_BUCKETS:
             return not is_far

@@ -169,10 +169,9 @@ def _run(args: argparse.Namespace) -> None:
 
 def _as_option(where: str) -> str:
     """Name what is wrong as the command line does."""
-    group, _, name = where.partition(".")
-    if group == "imu":
-        return "--imu-" + name.replace("_", "-")
-    return _OPTIONS.get(where, where)
+    names = [info.name for info in options_of(ImuModel())]
+    of_imu = {f"imu.{name}": "--imu-" + name.replace("_", "-") for name in names}
+    return (_OPTIONS | of_imu).get(where, where)
 
 
 def _simulate(args: argparse.Namespace) -> None:

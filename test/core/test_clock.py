@@ -39,7 +39,7 @@ def test_time_never_goes_back(timestamps):
 
 
 @pytest.mark.parametrize(("at_s", "step_s"), [(8, 0.3), (30, 2.0), (70, 8.0)])
-def test_host_clock_that_was_set_forward_is_followed_within_half_a_minute(at_s, step_s):
+def test_host_clock_that_was_set_forward_is_followed_within_25_s(at_s, step_s):
     clock = ClockMap(Timestamps.FUSED)
     errors, mapped = {}, []
     for sensor, true, stamp in messages(np.random.default_rng(3), at_s + 40, 50.0):
@@ -49,7 +49,7 @@ def test_host_clock_that_was_set_forward_is_followed_within_half_a_minute(at_s, 
         errors[sensor // S - 5] = mapped[-1] - true - step
     assert np.all(np.diff(mapped) > 0)
     assert abs(errors[at_s + 2]) == pytest.approx(step_s * S, rel=0.01)  # it may be a delay
-    assert max(abs(errors[k]) for k in range(at_s + 30, at_s + 40)) < MS
+    assert max(abs(errors[k]) for k in range(at_s + 25, at_s + 40)) < MS
     assert clock.drift_ppm == pytest.approx(50.0, abs=20.0)
 
 
@@ -61,6 +61,24 @@ def test_messages_that_are_late_for_seconds_move_nothing():
         clock.observe(sensor, stamp + late)
         errors.append(clock.to_ros(sensor) - true)
     assert np.abs(errors[2000:]).max() < MS
+
+
+def test_host_clock_set_forward_is_followed_where_events_were_on_ros_time():
+    clock = ClockMap(Timestamps.FUSED)
+    for sensor, true, stamp in messages(np.random.default_rng(5), 60, 0.0):
+        step = 2 * S if sensor >= 35 * S else 0
+        clock.observe(true, stamp + step)
+        if sensor < 35 * S:
+            assert clock.to_ros(true) == true
+    assert clock.to_ros(true) - true - step == pytest.approx(0, abs=5 * MS)
+
+
+def test_events_on_ros_time_stay_while_their_messages_are_late():
+    clock = ClockMap(Timestamps.FUSED)
+    for sensor, true, stamp in messages(np.random.default_rng(6), 60, 0.0):
+        late = 500 * MS if 35 <= sensor // S < 45 else 0
+        clock.observe(true, stamp + late)
+        assert clock.to_ros(true) == true
 
 
 def test_sensor_times_are_left_alone():
