@@ -69,7 +69,6 @@ class ClockMap:
         # line `_target` + `drift_ppm` * (t - `_reference`).
         self._since = self._held = self._reference = self._target = 0
         self._slew = _START_SLEW
-        self._has_line = False
         self._far = 0  # how many of the latest minima are far from the line
         self._minima: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)  # (sensor time, difference)
 
@@ -132,8 +131,6 @@ class ClockMap:
         """
         if len(self._minima) < _MIN_BUCKETS:
             return False
-        if not self._has_line:
-            return True
         t, difference = self._minima[-1]
         most = SAME_CLOCK_NS if self._on_ros_time else _STEP_NS
         is_far = abs(difference - self._delay - self._line(t)) > most
@@ -147,7 +144,6 @@ class ClockMap:
 
     def _fit(self) -> None:
         """Fit the line through the minima of the finished seconds (Theil-Sen)."""
-        self._has_line = True
         self._reference = self._minima[-1][0]
         base = self._minima[-1][1]
         t, d = np.array([(a - self._reference, b - base) for a, b in self._minima], float).T
