@@ -135,19 +135,20 @@ def figures(observed: Observed, sent: Sent) -> dict[str, Any]:
 
 def _input_figures(counted: Mapping[str, int], sent: Sent) -> dict[str, Any]:
     came, events = (counted.get(name, 0) for name in ("messages", "events"))
-    skipped = counted.get("messages_skipped", 0)
+    skipped, in_part = (counted.get(f"messages_{name}", 0) for name in ("skipped", "in_part"))
     missing = sent.messages - came
     return {
         "messages": {
             "sent": sent.messages,
             "lost": missing - skipped,
             "skipped": skipped,
+            "in part": in_part,
             "not accounted for": abs(missing - skipped - counted.get("seq_gaps", 0)),
         },
         "events": {
             "sent": sent.events,
             "counted": events,
-            "miscounted": abs(sent.events - events) if missing == 0 else None,
+            "miscounted": abs(sent.events - events) if missing == in_part == 0 else None,
             "in dropped windows": counted.get("events_dropped", 0),
         },
     }
@@ -273,6 +274,7 @@ def rows(name: str, pace: float, targets: Targets, found: Mapping[str, Any]) -> 
         Row("windows not accounted for", windows["not accounted for"], 0),
         Row("messages lost before the node", messages["lost"], targets.lost),
         Row("messages left out by the node", messages["skipped"], targets.lost),
+        Row("messages decoded in part", messages["in part"], targets.lost),
         Row("messages not accounted for", messages["not accounted for"], 0),
         Row("events miscounted", miscounted, None if miscounted is None else 0),
         Row("memory of node + worker, MB", both["resident_mb_max"], MEMORY_MB),

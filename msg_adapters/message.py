@@ -86,8 +86,13 @@ class Decoder(Protocol):
 
     statistics: Statistics
 
-    def decode(self, data: Bytes) -> EventMessage:
+    def decode(self, data: Bytes, part: int = 1) -> EventMessage:
         """Decode one serialised message. `data` may be reused by the caller afterwards.
+
+        Args:
+            data: the message.
+            part: n decodes the first n-th of the events only, of a packet the first n-th of its
+                bytes; the rest is left out.
 
         Raises:
             DecodeError: the bytes are not a message of this type. The decoder stays usable.
@@ -127,6 +132,11 @@ def build_message(
     statistics.events += count
     statistics.dropped_outside += dropped
     return EventMessage(events, width, height, *header, seq, dropped)
+
+
+def first_part(events: Events, part: int) -> Events:
+    """Return the first 1/part of the events, one at least if there are any."""
+    return events if part == 1 else events[: -(-len(events) // part)]
 
 
 @njit(types.boolean(_COORDINATES, _COORDINATES, types.int64, types.int64), cache=True, nogil=True)

@@ -184,7 +184,13 @@ def test_figures_of_a_run():
         "not accounted for": 1,
         "drop runs": {"mean": 1.5, "longest": 2, "ratio": pytest.approx(4 / 3)},
     }
-    assert found["messages"] == {"sent": 2500, "lost": 0, "skipped": 0, "not accounted for": 0}
+    assert found["messages"] == {
+        "sent": 2500,
+        "lost": 0,
+        "skipped": 0,
+        "in part": 0,
+        "not accounted for": 0,
+    }
     assert found["events"] == {
         "sent": 1000,
         "counted": 990,
@@ -232,6 +238,7 @@ def test_every_figure_of_a_case_is_judged():
         "fresh: windows not accounted for": "missed",
         "fresh: messages lost before the node": "met",
         "fresh: messages left out by the node": "met",
+        "fresh: messages decoded in part": "met",
         "fresh: messages not accounted for": "met",
         "fresh: events miscounted": "missed",
         "fresh: memory of node + worker, MB": "met",
@@ -245,7 +252,13 @@ def test_messages_that_the_queue_lost_are_gaps():
     run = observed()
     run.diagnostics |= {"messages": "2400", "seq_gaps": "90"}
     found = figures(run, SENT)
-    assert found["messages"] == {"sent": 2500, "lost": 100, "skipped": 0, "not accounted for": 10}
+    assert found["messages"] == {
+        "sent": 2500,
+        "lost": 100,
+        "skipped": 0,
+        "in part": 0,
+        "not accounted for": 10,
+    }
     assert found["events"]["miscounted"] is None  # nobody knows which are missing
 
 
@@ -253,8 +266,25 @@ def test_messages_that_the_node_left_out_are_no_gaps():
     run = observed()
     run.diagnostics |= {"messages": "2400", "messages_skipped": "95", "seq_gaps": "3"}
     found = figures(run, SENT)
-    assert found["messages"] == {"sent": 2500, "lost": 5, "skipped": 95, "not accounted for": 2}
+    assert found["messages"] == {
+        "sent": 2500,
+        "lost": 5,
+        "skipped": 95,
+        "in part": 0,
+        "not accounted for": 2,
+    }
     assert found["events"]["miscounted"] is None
+
+
+def test_events_of_messages_in_part_are_not_miscounted():
+    run = observed()
+    run.diagnostics |= {"messages_in_part": "1000", "events": "900000"}
+    found = figures(run, SENT)
+    assert found["messages"]["in part"] == 1000
+    assert found["events"]["miscounted"] is None
+    assert "fresh: messages decoded in part" in [
+        row.figure for row in rows("fresh", 1, Targets(lost=0), found) if row.verdict == "missed"
+    ]
 
 
 def test_a_run_that_is_too_short_is_refused():

@@ -28,7 +28,7 @@ from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
 
-_LONGEST_NS = 300 * NS_PER_MS  # from the last estimate's time to now
+_LONGEST_NS = 600 * NS_PER_MS  # from the last estimate's time to now
 _EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
 _SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
@@ -37,6 +37,9 @@ _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
 _GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
 # Largest age of the newest reading where the gyro alone tells the motion.
 _GYRO_FRESH_NS = 20 * NS_PER_MS
+# Variance of the change of w since the window over its square: the scene has moved since, and its
+# depths are not exact.
+_CHANGE_ERROR = 0.2
 _EXPECTED_DRIFT = 0.5  # of the configured one: what most recordings show
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
@@ -100,7 +103,7 @@ class PresentMotion:
                 window shorter, only so much of it is used.
 
         Returns:
-            None without an estimate of the last 300 ms to start from, and with too few events or,
+            None without an estimate of the last 600 ms to start from, and with too few events or,
             after a window without a flow, without readings of the gyro from the last 20 ms.
         """
         scene = self._scene
@@ -128,7 +131,9 @@ class PresentMotion:
         if turned is not None and now is not None:
             change[:3] += now - turned
         elif since > 0:
-            drift[:3] = _drift_by(self._drift[0], change[:3], since)
+            squared = float(change[:3] @ change[:3])
+            drift[:3] = _drift_by(self._drift[0], squared, since)
+            covariance[:3, :3] += _CHANGE_ERROR * squared / 3 * np.eye(3)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
         return _read(window.t_end, scene, change, covariance)
 
@@ -178,14 +183,14 @@ class PresentMotion:
         return None if now is None or scene.gyro is None else now - scene.gyro
 
 
-def _drift_by(configured: float, change: Array, seconds: float) -> float:
-    """Drift of w, (rad/s)^2 per second, as the change (3,) of the last `seconds` tells.
+def _drift_by(configured: float, squared: float, seconds: float) -> float:
+    """Drift of w, (rad/s)^2 per second, as its squared change in the last `seconds` tells.
 
     The mean of an expected value, which counts as much as one such change, and the change's own: a
     camera that shakes goes on shaking, and a calm one stays calm.
     """
     expected = _EXPECTED_DRIFT**2 * configured
-    return 0.5 * (expected + float(change @ change) / (3 * seconds))
+    return 0.5 * (expected + squared / (3 * seconds))
 
 
 def _is_frozen(window: Window) -> bool:

@@ -22,13 +22,17 @@ _REFUSALS = {
     "unordered_messages": "messages with event times out of order: check the driver",
     "events_outside": "events outside the calibration's image: give this sensor's calibration",
 }
+_TOO_FAST = (
+    "events come faster than the node decodes them; lower their rate, or give the node more of the "
+    "processor"
+)
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
     "slices_failed": "slices failed, so motions of now are missing: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
-    "messages_skipped": "messages left out: events come faster than the node decodes them; lower "
-    "their rate, or give the node more of the processor",
+    "messages_skipped": f"messages left out: {_TOO_FAST}",
+    "messages_in_part": f"messages decoded in part: {_TOO_FAST}",
     "windows_dropped": "windows dropped: {drop}",
     **{name: line for name, line in _REFUSALS.items() if name != "events_outside"},
     "time_jumps": "jumps in event time: the estimation starts anew",

@@ -1,153 +1,65 @@
 """From the middleware's queue to the decoder: event messages wait in between, but not for long."""
 
-import struct
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from emoflow_ros.node.backlog import Backlog, LeftOut
 from emoflow_ros.node.diagnostics import Statistics
 
-if TYPE_CHECKING:  # what cuts windows needs LeftOut, but no ROS
-    from rclpy.node import Node
-    from rclpy.subscription import Subscription
-
 _TURN_S = 0.005  # decoding at a stretch
+# The first n-th of each message is decoded: n doubles while more of what may wait does than these
+# shares, the first one for n = 1, and is halved again after a longer time.
+_FAR, _NEAR = 1 / 2, 1 / 8
+_SETTLE_S, _EASE_S = 0.05, 3.0
+_SMALLEST_PART = 16
 _THROTTLE_S = 5.0
-# A smaller step back in time is disorder, a larger one starts another run of the recording.
-_DISORDER = 100 * NS_PER_MS
-# A larger step forward also starts another run: a seek, or a sensor clock that wrapped unseen.
-_GAP = 10 * NS_PER_S
-# Every type of event message begins with a std_msgs/Header: by the encapsulation of CDR, which says
-# the order of bytes, seconds and nanoseconds of its stamp.
-_STAMPS = {b"\0\0": struct.Struct(">iI"), b"\0\1": struct.Struct("<iI")}
-_STAMP_AT, _STAMP_END = 4, 12
-# The stamps do not always tell how much waits. These bounds hold whatever they say.
-_MOST_OF_ONE_STAMP = 1000  # messages
-_MOST_BYTES = 256 * 2**20
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """Messages that were left out.
+class Pressure:
+    """Tells how much of each message can be decoded, from how much waits.
+
+    Args:
+        clock: monotonic time in s.
 
     Attributes:
-        count: how many.
-        jump: step of the stamps among them, or right behind them, that is a jump in time (ns);
-            0 where there is none.
+        part: n stands for the first n-th of each message: 1, 2, 4, 8 or 16.
     """
 
-    count: int
-    jump: int
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.part = 1
+        self._clock = clock
+        self._changed = clock()
 
+    def note(self, share: float) -> None:
+        """Note how much waits, as a share of what may wait."""
+        since = self._clock() - self._changed
+        if share > (_FAR if self.part == 1 else _NEAR):
+            if since > _SETTLE_S:
+                self._set(min(2 * self.part, _SMALLEST_PART))
+        elif self.part > 1 and since > _EASE_S:
+            self._set(self.part // 2)
 
-@dataclass(frozen=True, slots=True)
-class _Message:
-    data: bytes
-    at: int  # event time since the first message, ns, without jumps
-    jump: int  # step of the stamps to this message if it is a jump, ns; else 0
-
-
-class Backlog:
-    """Serialised event messages in order of arrival.
-
-    How much event time they cover is told by the stamps of their headers. These are compared with
-    one another only, never with a clock of this machine. A message without a stamp takes no time.
-    """
-
-    def __init__(self) -> None:
-        self._stamp: int | None = None
-        self._doubtful: int | None = None
-        self._newest = self._taken = 0
-        self._begun: int | None = None  # where the run of messages without a gap begins, ns
-        self._messages: deque[_Message] = deque()
-        self._bytes = 0
-
-    def __len__(self) -> int:
-        return len(self._messages)
-
-    @property
-    def length_ns(self) -> int:
-        """Event time from the oldest message to the newest one, ns."""
-        return self._messages[-1].at - self._messages[0].at if self._messages else 0
-
-    def add(self, data: bytes) -> None:
-        """Append a message."""
-        stamp = stamp_of(data)
-        step, jump = (0, 0) if stamp is None else self._follow(stamp)
-        self._newest += step
-        self._messages.append(_Message(data, self._newest, jump))
-        self._bytes += len(data)
-
-    def pop(self) -> bytes:
-        """Remove the oldest message and return it.
-
-        Raises:
-            IndexError: there is none.
-        """
-        message = self._messages.popleft()
-        self._bytes -= len(message.data)
-        self._taken = message.at
-        if self._begun is None or message.jump:
-            self._begun = message.at
-        return message.data
-
-    def shorten(self, length_ns: int) -> LeftOut | None:
-        """Leave out all messages but the newest if they cover more than this event time.
-
-        Before the next gap at least as much event time is taken, so that there are whole windows
-        between two gaps, however slow the node is. If only the excess were left out, a node that
-        is too slow would leave out a message for each one that it takes.
-
-        Args:
-            length_ns: a window and more, ns.
-
-        Returns:
-            What was left out; None if nothing was.
-        """
-        if len(self._messages) < 2:
-            return None
-        run = 0 if self._begun is None else self._taken - self._begun
-        is_long = self.length_ns > length_ns and run >= length_ns
-        is_timeless = self.length_ns == 0 and len(self._messages) > _MOST_OF_ONE_STAMP
-        if not (is_long or is_timeless or self._bytes > _MOST_BYTES):
-            return None
-        newest = self._messages[-1]
-        jump = next((message.jump for message in self._messages if message.jump), 0)
-        left_out = LeftOut(len(self._messages) - 1, jump)
-        self._messages = deque([newest])
-        self._bytes = len(newest.data)
-        self._begun = None
-        return left_out
-
-    def _follow(self, stamp: int) -> tuple[int, int]:
-        """Return the step of time to the next stamp and the jump to it, ns; one of them is 0.
-
-        One stamp that is far from those around it is that of a malformed message, and no jump.
-        """
-        before, doubtful = self._stamp, self._doubtful
-        step = 0 if before is None else stamp - before
-        if is_jump(step) and (doubtful is None or is_jump(stamp - doubtful)):
-            self._doubtful = stamp
-            return 0, 0
-        self._stamp, self._doubtful = stamp, None
-        return (0, step) if is_jump(step) else (step, 0)
+    def _set(self, part: int) -> None:
+        self.part = part
+        self._changed = self._clock()
 
 
 class EventFeed:
     """Hands the messages of one topic on, for a few milliseconds at a time.
 
     In between, the executor runs the node's other callbacks, and results are published. If the
-    messages come faster than they are taken, those that are too old are left out.
+    messages come faster than they are taken, only the first part of each is decoded. If that does
+    not suffice, those that are too old are left out.
 
     Args:
         node: wakes the executor, and logs.
         topic: name of the topic.
         fetch: returns the messages that wait in the middleware.
         length_ns: returns how much event time may wait here, ns.
-        take: gets each message.
+        take: gets each message, and n where only the first n-th of it is to be decoded, else 1.
         skip: told when messages before the next one are left out.
         statistics: counts the messages that are left out.
         clock: monotonic time in s.
@@ -155,12 +67,12 @@ class EventFeed:
 
     def __init__(
         self,
-        node: "Node",
+        node: Node,
         topic: str,
         *,
         fetch: Callable[[], Iterable[bytes]],
         length_ns: Callable[[], int],
-        take: Callable[[bytes], None],
+        take: Callable[[bytes, int], None],
         skip: Callable[[LeftOut], None],
         statistics: Statistics,
         clock: Callable[[], float] = time.monotonic,
@@ -174,6 +86,8 @@ class EventFeed:
         self._statistics = statistics
         self._clock = clock
         self._backlog = Backlog()
+        self._pressure = Pressure(clock)
+        self._fetched_s = 0.0  # since the last turn
         self._is_open = True
         self._more_waits = node.create_guard_condition(self._go_on)
 
@@ -200,14 +114,21 @@ class EventFeed:
             self._work()
 
     def _add_waiting(self) -> None:
+        began = self._clock()
         for data in self._fetch():
             self._backlog.add(data)
+        self._fetched_s += self._clock() - began
 
     def _work(self) -> None:
+        self._pressure.note(self._backlog.length_ns / self._length_ns())
         self._shorten()
-        end = self._clock() + _TURN_S
+        # Large messages take long to fetch. Little would be decoded if that took most of the time.
+        end = self._clock() + max(_TURN_S, self._fetched_s)
+        self._fetched_s = 0.0
         while len(self._backlog):
-            self._take(self._backlog.pop())
+            part = self._pressure.part if self._backlog.is_next_short else 1
+            self._statistics.counts["messages_in_part"] += part > 1
+            self._take(self._backlog.pop(), part)
             if self._clock() >= end:
                 break
         if len(self._backlog):
@@ -227,7 +148,7 @@ class EventFeed:
         )
 
 
-def fetch_waiting(subscription: "Subscription", most: int) -> Iterator[bytes]:
+def fetch_waiting(subscription: Subscription, most: int) -> Iterator[bytes]:
     """Take the serialised messages that wait in the middleware, `most` of them at most."""
     with subscription.handle:
         for _ in range(most):
@@ -235,17 +156,3 @@ def fetch_waiting(subscription: "Subscription", most: int) -> Iterator[bytes]:
             if found is None:
                 return
             yield found[0]
-
-
-def is_jump(step: int) -> bool:
-    """Whether a step of time (ns) from one message to the next starts another run."""
-    return not -_DISORDER < step < _GAP
-
-
-def stamp_of(data: bytes) -> int | None:
-    """Return the header's stamp of a message serialised as CDR, ns; None if it has none."""
-    stamp = _STAMPS.get(data[:2])
-    if stamp is None or len(data) < _STAMP_END:
-        return None
-    seconds, nanoseconds = stamp.unpack_from(data, _STAMP_AT)
-    return int(seconds) * NS_PER_S + int(nanoseconds)

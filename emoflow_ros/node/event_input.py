@@ -2,14 +2,17 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
 
 from emoflow_ros.core.bounded_windows import BoundedSlicer, RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
 from emoflow_ros.core.events import NS_PER_S, Events, Window
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.node.backlog import LeftOut, is_jump
 from emoflow_ros.node.diagnostics import Statistics
-from emoflow_ros.node.event_feed import LeftOut, is_jump
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 
@@ -90,17 +93,24 @@ class EventInput:
         if budget != self._slicer.budget:
             self._slicer = BoundedSlicer(budget)
 
-    def push(self, data: bytes) -> list[Task]:
-        """Take one serialised message and return the windows and slices that it completes."""
-        message = self._decode(data)
+    def push(self, data: bytes, part: int = 1) -> list[Task]:
+        """Take one serialised message and return the windows and slices that it completes.
+
+        Args:
+            data: the message.
+            part: n takes the first n-th of its events; each stands for n.
+        """
+        message = self._decode(data, part)
         if message is not None and self._has_jumped(message):
             self._size = None  # another recording may be that of another sensor
-            message = self._decode(data)  # again: its times were counted on from before the jump
+            message = self._decode(data, part)  # again: it was counted on from before the jump
         if message is None:
             return []
         self._stamp = message.stamp
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
         events = self._inside(message)
+        if part > 1:
+            events = replace(events, stands_for=np.full(len(events), part, np.uint32))
         received = time.monotonic()
         before = self._slicer.left_out
         windows = self._slice(events) if len(events) else None
@@ -132,11 +142,11 @@ class EventInput:
             self._decoder.resync(left_out.count)
             self._reset_slicers()
 
-    def _decode(self, data: bytes) -> EventMessage | None:
+    def _decode(self, data: bytes, part: int) -> EventMessage | None:
         try:
             if len(data) > _MAX_BYTES:
                 raise DecodeError(f"{len(data)} bytes, more than {_MAX_BYTES}")
-            return self._decoder.decode(data)
+            return self._decoder.decode(data, part)
         except DecodeError as error:
             self._statistics.add_malformed()
             self._warn(f"a malformed message is left out: {error}")

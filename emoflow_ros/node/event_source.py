@@ -15,8 +15,9 @@ from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Statistics
-from emoflow_ros.node.event_feed import EventFeed, LeftOut, fetch_waiting
+from emoflow_ros.node.event_feed import EventFeed, fetch_waiting
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.topic_search import (
     EventTopic,
@@ -38,13 +39,13 @@ class Callbacks:
 
     Attributes:
         topic: told which topic was found; again if it turns out to be another one.
-        events: each serialised event message.
+        events: each serialised event message, and n where only its first n-th is to be decoded.
         skip: told when messages before the next one are left out.
         camera_info: each calibration; None if the node has one.
     """
 
     topic: Callable[[EventTopic], None]
-    events: Callable[[bytes], None]
+    events: Callable[[bytes, int], None]
     skip: Callable[[LeftOut], None]
     camera_info: Callable[[CameraInfo], None] | None
 
@@ -140,10 +141,10 @@ class EventSource:
             )
         self._named = others
 
-    def _take_events(self, data: bytes) -> None:
+    def _take_events(self, data: bytes, part: int) -> None:
         self._hears_events = True
         self._statistics.clear_problem("qos")  # there may be more publishers than the deaf one
-        self._callbacks.events(data)
+        self._callbacks.events(data, part)
 
     def _unsubscribe(self) -> None:
         if self._feed is not None:

@@ -13,8 +13,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Report, Statistics
-from emoflow_ros.node.event_feed import LeftOut
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
@@ -164,11 +164,11 @@ class Pipeline:
                 f"no calibration yet: publish {wanted} or give camera.calibration_file"
             )
 
-    def take_events(self, data: bytes) -> None:
-        """Take a serialised message of the topic."""
+    def take_events(self, data: bytes, part: int = 1) -> None:
+        """Take a serialised message of the topic, or the first 1/part of its events."""
         if self._input is None:
             return
-        tasks = self._input.push(data)
+        tasks = self._input.push(data, part)
         if self._input.encoding and not self._encoding:
             self._encoding = self._input.encoding
             self._node.get_logger().info(f"events are encoded as {self._encoding}")

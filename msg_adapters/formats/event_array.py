@@ -24,6 +24,7 @@ from msg_adapters.message import (
     Serialization,
     Statistics,
     build_message,
+    first_part,
 )
 
 type Structs = NDArray[np.void]
@@ -54,12 +55,12 @@ class EventArrayDecoder:
         self._serialization = serialization
         self._layout = _CDR if serialization == "cdr" else _ROS1
 
-    def decode(self, data: Bytes) -> EventMessage:
+    def decode(self, data: Bytes, part: int = 1) -> EventMessage:
         """Decode one message; see Decoder."""
         cursor = Cursor(data, self._serialization)
         header = cursor.header()
         height, width = cursor.integers("II")
-        events = self._events(cursor)
+        events = first_part(self._events(cursor), part)
         cursor.finish()
         return build_message(header, width, height, events, self.statistics)
 

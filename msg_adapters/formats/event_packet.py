@@ -20,6 +20,7 @@ from msg_adapters.registry import make_packet_decoder, packet_decoders
 TYPES = ("event_camera_msgs/msg/EventPacket", "event_array_msgs/msg/EventArray")
 
 _TIME_LIMIT = 1 << 62
+_WORD = 8  # bytes of the longest word of an encoding
 
 
 class EventPacketDecoder:
@@ -33,7 +34,7 @@ class EventPacketDecoder:
         self._seq: int | None = None
         self._left_out = 0  # messages before the next one
 
-    def decode(self, data: Bytes) -> EventMessage:
+    def decode(self, data: Bytes, part: int = 1) -> EventMessage:
         """Decode one message; see Decoder."""
         cursor = Cursor(data, self._serialization)
         header = cursor.header()
@@ -47,7 +48,11 @@ class EventPacketDecoder:
             raise DecodeError(f"time_base {time_base} is beyond 64-bit nanoseconds")
         packets = self._packets_of(encoding)
         self._follow(seq, packets)
+        if part > 1:
+            payload = payload[: len(payload) // part // _WORD * _WORD]
         events = packets.decode(payload, bool(big_endian), time_base)
+        if part > 1:  # what follows in the packet is lost
+            packets.resync()
         return build_message(header, width, height, events, self.statistics, seq=seq)
 
     def resync(self, left_out: int) -> None:

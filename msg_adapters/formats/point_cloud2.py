@@ -30,6 +30,7 @@ from msg_adapters.message import (
     Serialization,
     Statistics,
     build_message,
+    first_part,
 )
 
 type PointType = np.dtype[np.void]
@@ -102,7 +103,7 @@ class PointCloud2Decoder:
         """Forget what the time field was found to mean."""
         self._time = _CloudTime()
 
-    def decode(self, data: Bytes) -> EventMessage:
+    def decode(self, data: Bytes, part: int = 1) -> EventMessage:
         """Decode one message; see Decoder."""
         cursor = Cursor(data, self._serialization)
         header = cursor.header()
@@ -116,6 +117,7 @@ class PointCloud2Decoder:
         dtype, time_name = _point_dtype(fields, ">" if big_endian else "<", point_step)
         points = _view_points(cloud, dtype, height, width, row_step, point_step)
         events, dropped = self._events(points, time_name, stamp=header[0])
+        events = first_part(events, part)
         return build_message(header, 0, 0, events, self.statistics, dropped=dropped)
 
     def _events(self, points: NDArray[np.void], time_name: str, stamp: int) -> tuple[Events, int]:

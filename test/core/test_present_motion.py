@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.estimate import Estimate, MotionModel, PresentTwist, Status
-from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, Window, WindowSlicer
+from emoflow_ros.core.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Window, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, fit_shape
@@ -78,6 +78,21 @@ def test_it_follows_a_motion_that_changes_where_the_last_window_does_not() -> No
     assert len(errors) > 30
     assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(held)))
     assert 0.3 < np.mean(squares) < 3
+
+
+def test_variance_grows_with_the_change_since_the_window() -> None:
+    """A fifth of the squared change, a third of it along each axis, and the drift by it."""
+    its, estimate = last("agile")
+    present = its.present()
+    present.know(estimate)
+    t = estimate.t_end + LATE_NS
+    found = present.estimate(its.slice(t))
+    assert found is not None
+    change = found.twist.angular - estimate.angular
+    seconds = (t - SLICE_NS // 2 - estimate.t) / NS_PER_S
+    expected = 0.2 * change @ change / 3 + 0.5 * change @ change / (3 * seconds) * 0.03
+    assert np.diag(found.covariance)[3:].min() > expected
+    assert expected > np.radians(3) ** 2
 
 
 def test_the_same_slice_and_window_give_the_same_bits() -> None:
@@ -227,18 +242,13 @@ def test_after_a_window_without_an_estimate_there_is_no_motion_of_now(status: St
     assert present.estimate(its.slice(estimate.t_end + LATE_NS)) is None
 
 
-def found_at(late_ns: int) -> PresentTwist | None:
-    its, estimate = last("calm")
+def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
+    its = run("agile")
+    estimate = next(e for e in its.estimates if e.translation_observable)
     present = its.present()
     present.know(estimate)
-    window = its.slice(estimate.t_end + LATE_NS)
-    t_end = estimate.t + late_ns
-    return present.estimate(replace(window, t_start=t_end - SLICE_NS, t_end=t_end))
-
-
-def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
-    assert found_at(0) is None
-    assert found_at(301 * NS_PER_MS) is None
+    after_ms = [present.estimate(its.slice(estimate.t + ms * NS_PER_MS)) for ms in (0, 599, 601)]
+    assert [found is not None for found in after_ms] == [False, True, False]
 
 
 def test_few_events_tell_nothing_of_now() -> None:

@@ -62,6 +62,15 @@ def test_any_buffer_and_any_offset(rng, serialization):
         assert_equal(decoder.decode(np.frombuffer(shifted, np.uint8)).events, events)
 
 
+@pytest.mark.parametrize(("count", "part", "expected"), [(20, 4, 5), (21, 4, 6), (1, 16, 1)])
+def test_first_part_of_a_message(rng, serialization, count, part, expected):
+    events = synthetic(rng, count)
+    decoder = make_decoder("dvs_msgs/EventArray", serialization)
+    found = decoder.decode(event_array(events, serialization), part)
+    assert_equal(found.events, events[:expected])
+    assert decoder.statistics.events == expected
+
+
 def test_decoded_arrays_do_not_view_the_message(rng, serialization):
     data = bytearray(event_array(synthetic(rng, 20), serialization))
     message = make_decoder("dvs_msgs/EventArray", serialization).decode(data)

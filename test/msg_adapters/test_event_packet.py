@@ -54,6 +54,26 @@ def test_same_stream_through_every_encoder(rng, serialization, encoding, big_end
 
 
 @every_encoding
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_first_part_of_a_packet_and_then_the_next_one(rng, serialization, encoding, big_endian):
+    events = synthetic(rng, 900)
+    first, second, third = packets(events, encoding, 300, serialization, big_endian)
+    decoder = make_decoder(TYPE, serialization)
+    assert_equal(decoder.decode(first).events, events[:300])
+    for data, begin in ((second, 300), (third, 600)):
+        part = decoder.decode(data, 4).events
+        assert 40 <= len(part) <= 110  # a quarter of the bytes
+        assert_equal(part, events[begin : begin + len(part)])
+    assert decoder.statistics.seq_gaps == 0
+
+
+@every_encoding
+def test_part_of_a_packet_of_a_few_bytes_is_no_event_and_no_error(rng, encoding):
+    [data] = packets(synthetic(rng, 1), encoding, 1)
+    assert len(make_decoder(TYPE, "cdr").decode(data, 16).events) == 0
+
+
+@every_encoding
 def test_empty_packet(encoding):
     decoded, _ = decode_all([event_packet(b"", encoding)])
     assert_equal(decoded, Events.empty())

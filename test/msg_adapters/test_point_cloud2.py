@@ -36,6 +36,14 @@ def test_fields_in_any_order(rng, order):
     assert_equal(decode(points, stamp=0), events)
 
 
+def test_first_part_of_a_cloud(rng):
+    events = synthetic(rng, 41)
+    types = {"x": "<u2", "y": "<u2", "t": "<f8", "p": "u1"}
+    data = point_cloud(structured(list(types.items()), absolute(events)), "cdr", stamp=0)
+    found = make_decoder("sensor_msgs/msg/PointCloud2", "cdr").decode(data, 8).events
+    assert_equal(found, events[:6])
+
+
 @pytest.mark.parametrize("coordinate", ["u2", "i2", "u4", "i4", "f4", "f8"])
 @pytest.mark.parametrize("polarity", ["u1", "i1", "u2", "i4", "f4", "f8"])
 @pytest.mark.parametrize("byte_order", ["<", ">"])

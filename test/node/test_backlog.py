@@ -10,8 +10,8 @@ from headers import MS, message
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
-from emoflow_ros.node import event_feed as module
-from emoflow_ros.node.event_feed import Backlog, LeftOut, stamp_of
+from emoflow_ros.node import backlog as module
+from emoflow_ros.node.backlog import Backlog, LeftOut, stamp_of
 from emoflow_ros.simulation.messages import MessageEncoder
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
@@ -13,9 +14,10 @@ from graph import Graph
 from headers import MS, message
 from ros_nodes import ros_context
 
+from emoflow_ros.node.backlog import LeftOut, stamp_of
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.estimator_node import spin_until_asked
-from emoflow_ros.node.event_feed import EventFeed, LeftOut
+from emoflow_ros.node.event_feed import EventFeed, Pressure
 
 LENGTH_NS = 20 * MS
 
@@ -27,6 +29,9 @@ class Bench:
         self.graph = Graph({})
         self.statistics = Statistics()
         self.now = 0.0
+        self.cost_s = 0.002  # of a whole message
+        self.fetch_s = 0.0
+        self.parts: list[int] = []
         self.waiting: list[bytes] = []
         self.done: list[bytes | LeftOut] = []
         self.feed = EventFeed(
@@ -42,13 +47,15 @@ class Bench:
         [self.go_on] = self.graph.guards
 
     def _fetch(self) -> list[bytes]:
+        self.now += self.fetch_s
         fetched = list(self.waiting)
         self.waiting.clear()
         return fetched
 
-    def _take(self, data: bytes) -> None:
-        self.now += 0.002
+    def _take(self, data: bytes, part: int) -> None:
+        self.now += self.cost_s / part
         self.done.append(data)
+        self.parts.append(part)
 
     def run(self) -> int:
         """Do what the executor does until nothing waits; return the number of turns."""
@@ -109,6 +116,114 @@ def test_messages_beyond_the_length_are_left_out_counted_and_said() -> None:
     ]
 
 
+def far_behind() -> Bench:
+    """More than half of what may wait has waited at once, for the first time in a second."""
+    bench = Bench()
+    bench.feed.receive(message(0))
+    bench.now += 1
+    bench.waiting += messages(2, 13)
+    bench.feed.receive(message(1))
+    bench.run()
+    return bench
+
+
+def test_messages_that_are_far_behind_are_taken_in_part_and_counted() -> None:
+    bench = far_behind()
+    assert bench.done == messages(0, 13)
+    assert bench.parts == [1] + [2] * 12
+    assert bench.statistics.counts["messages_in_part"] == 12
+
+
+def test_messages_of_more_than_6_ms_and_those_without_a_stamp_are_taken_whole() -> None:
+    bench = far_behind()
+    for data in (message(18), message(25), b"", message(31)):
+        bench.feed.receive(data)
+    assert bench.parts[13:] == [2, 1, 1, 2]
+
+
+def test_node_that_is_too_slow_for_whole_messages_takes_parts_and_stays_close_behind() -> None:
+    """Messages of 1 ms, each of which costs 3 ms and a quarter of it 0.75 ms."""
+    bench = Bench()
+    bench.cost_s = 0.003
+    sent = 0
+    behind_ms = []
+    while bench.now < 10:
+        while sent <= bench.now * 1000:
+            bench.waiting.append(message(sent))
+            sent += 1
+        if not bench.waiting and not bench.graph.triggered:
+            bench.now += 0.001
+            continue
+        if not bench.graph.triggered:
+            bench.feed.receive(bench.waiting.pop(0))
+        else:
+            bench.graph.triggered = 0
+            bench.go_on()
+        taken = [data for data in bench.done if isinstance(data, bytes)]
+        behind_ms.append(sent - 1 - (stamp_of(taken[-1]) or 0) // MS)
+    settled = bench.parts[len(bench.parts) // 2 :]
+    assert set(settled) == {2, 4}  # half of a message is tried again from time to time
+    assert settled.count(4) > 0.8 * len(settled)
+    later = behind_ms[len(behind_ms) // 2 :]
+    assert max(later) <= 62  # three times the length that may wait
+    assert float(np.median(later)) <= 6
+    skipped = bench.statistics.counts["messages_skipped"]
+    assert skipped < 0.05 * sent
+
+
+class Turns:
+    """Turns, 10 ms one after another."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.pressure = Pressure(lambda: self.now)
+
+    def note(self, seconds: float, share: float) -> list[int]:
+        """Let so much time pass, and return each part that was asked for since."""
+        parts = []
+        for _ in range(round(seconds * 100)):
+            self.now = round(self.now + 0.01, 2)
+            self.pressure.note(share)
+            parts.append(self.pressure.part)
+        return list(dict.fromkeys(parts))
+
+
+def test_parts_become_smaller_while_more_than_half_of_what_may_wait_does() -> None:
+    turns = Turns()
+    assert turns.note(10, 0.5) == [1]
+    assert turns.note(0.04, 0.51) == [2]
+    assert turns.note(0.04, 0.51) == [2, 4]
+    assert turns.note(2, 0.51) == [4, 8, 16]
+
+
+def test_parts_become_smaller_until_little_waits() -> None:
+    turns = Turns()
+    turns.note(1, 0.0)
+    assert turns.note(0.01, 0.6) == [2]
+    assert turns.note(0.04, 0.13) == [2]
+    assert turns.note(0.03, 0.13) == [4]
+    assert turns.note(1, 0.12) == [4]
+
+
+def test_parts_become_larger_again_after_3_s() -> None:
+    turns = Turns()
+    turns.note(0.15, 1.0)
+    assert turns.pressure.part == 4
+    assert turns.note(2.9, 0.0) == [4]
+    assert turns.note(0.2, 0.0) == [4, 2]
+    assert turns.note(2.7, 0.0) == [2]
+    assert turns.note(4, 0.0) == [2, 1]
+
+
+def test_node_decodes_for_as_long_as_it_fetches() -> None:
+    bench = Bench()
+    bench.fetch_s = 0.02
+    sent = messages(0, 16)
+    bench.waiting += sent[1:]
+    bench.feed.receive(sent[0])
+    assert bench.done == sent[:10]  # of 2 ms each
+
+
 def test_jump_among_what_is_left_out_is_told() -> None:
     bench = Bench()
     for data in messages(5000, 5021):
@@ -156,7 +271,8 @@ def test_executor_publishes_results_between_the_turns_and_comes_back() -> None:
             waiting.clear()
             return fetched
 
-        def take(data: bytes) -> None:
+        def take(data: bytes, part: int) -> None:
+            assert part == 1
             done.append(data)
             results.trigger()
             if data == sent[-1]:

@@ -38,13 +38,17 @@ class Bench:
         self._encoder = MessageEncoder(ros1=False)
 
     def push(
-        self, *times_ms: float, stamp_ms: float | None = None, camera: Camera = CAMERA
+        self,
+        *times_ms: float,
+        stamp_ms: float | None = None,
+        camera: Camera = CAMERA,
+        part: int = 1,
     ) -> list[Any]:
         t = np.array([round(ms * MS) for ms in times_ms], np.int64)
         zeros = np.zeros(len(t), np.uint16)
         events = Events(zeros, zeros, t, zeros.astype(bool))
         stamp = round((times_ms[0] if stamp_ms is None else stamp_ms) * MS)
-        return self.input.push(self._encoder.events(stamp, camera, events))
+        return self.input.push(self._encoder.events(stamp, camera, events), part)
 
 
 def event_packet(encoding: str, payload: bytes) -> bytes:
@@ -70,6 +74,18 @@ def test_windows_become_tasks_with_the_frame_of_the_messages(bench: Bench) -> No
     assert task.epoch == 0
     assert bench.statistics.counts["events"] == 4
     assert bench.statistics.counts["messages"] == 2
+
+
+def test_events_of_a_part_stand_for_the_others_and_windows_go_on(bench: Bench) -> None:
+    bench.push(1000, 1001)
+    bench.push(1002, 1003, 1004, 1005, part=4)
+    [task] = bench.push(1010)
+    events = task.window.events
+    assert (events.t // MS).tolist() == [1000, 1001, 1002]
+    assert events.stands_for is not None
+    assert events.stands_for.tolist() == [1, 1, 4]
+    assert events.came == 6
+    assert bench.statistics.counts["events"] == 4
 
 
 def test_given_frame_counts_before_that_of_the_messages() -> None:

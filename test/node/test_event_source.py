@@ -10,8 +10,8 @@ pytest.importorskip("dvs_msgs.msg", reason="no dvs_msgs: run scripts/build_test_
 from graph import DVS, Graph
 from headers import message
 
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Statistics
-from emoflow_ros.node.event_feed import LeftOut
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.tasks import Loss
 from emoflow_ros.node.topic_search import SETTLING_S, EventTopic, TopicSearch
@@ -45,7 +45,8 @@ class Bench:
     def _take(self, topic: EventTopic) -> None:
         self.taken.append(topic.name)
 
-    def _receive(self, data: bytes) -> None:
+    def _receive(self, data: bytes, part: int) -> None:
+        assert part == 1
         time.sleep(self.pause_s)
         self.received.append(data)
 
@@ -239,7 +240,7 @@ def test_messages_that_are_left_out_are_told_to_who_takes_the_others() -> None:
 def test_a_second_publisher_that_is_not_heard_is_no_lasting_problem() -> None:
     b = Bench("/events")
     b.look()
-    b.source._take_events(b"")
+    b.source._take_events(b"", 1)
     b.statistics.set_problem("qos", Level.ERROR, "no event arrives")  # of the second publisher
-    b.source._take_events(b"")
+    b.source._take_events(b"", 1)
     assert "qos" not in b.statistics.problems

@@ -18,8 +18,8 @@ from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import Events, WindowPolicy
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
-from emoflow_ros.node.event_feed import LeftOut
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Job, Task
