@@ -10,8 +10,8 @@ from emoflow_ros.node.backlog import Backlog, LeftOut
 from emoflow_ros.node.diagnostics import Statistics
 
 _TURN_S = 0.005  # decoding at a stretch
-# The first n-th of each message is decoded: n doubles while more of what may wait does than these
-# shares, the first one for n = 1, and is halved again after a longer time.
+# The first n-th of each message is decoded: n doubles where more of what may wait does than these
+# shares for some time, the first one for n = 1, and is halved again after a longer time.
 _FAR, _NEAR = 1 / 2, 1 / 8
 _SETTLE_S, _EASE_S = 0.05, 3.0
 _SMALLEST_PART = 16
@@ -31,16 +31,26 @@ class Pressure:
     def __init__(self, clock: Callable[[], float]) -> None:
         self.part = 1
         self._clock = clock
-        self._changed = clock()
+        self._changed = self._little = clock()
+        self._lost: float | None = None
 
     def note(self, share: float) -> None:
-        """Note how much waits, as a share of what may wait."""
-        since = self._clock() - self._changed
+        """Note how much waits, as a share of what may wait; also that nothing waits any more."""
+        now = self._clock()
         if share > (_FAR if self.part == 1 else _NEAR):
-            if since > _SETTLE_S:
+            if now - max(self._changed, self._little) > _SETTLE_S:
                 self._set(min(2 * self.part, _SMALLEST_PART))
-        elif self.part > 1 and since > _EASE_S:
+            return
+        self._little = now
+        if self.part > 1 and now - self._changed > _EASE_S:
             self._set(self.part // 2)
+
+    def note_loss(self) -> None:
+        """Note that messages were left out: twice in a short time is more than a stall."""
+        now = self._clock()
+        if self._lost is not None and now - self._lost < _EASE_S:
+            self._set(min(2 * self.part, _SMALLEST_PART))
+        self._lost = now
 
     def _set(self, part: int) -> None:
         self.part = part
@@ -97,6 +107,8 @@ class EventFeed:
         Each turn of the executor costs as much as some messages.
         """
         has_turn = len(self._backlog) > 0  # _go_on will be called
+        if not has_turn:
+            self._pressure.note(0.0)
         self._backlog.add(data)
         self._add_waiting()
         if not has_turn:
@@ -139,6 +151,7 @@ class EventFeed:
         if left_out is None:
             return
         self._statistics.counts["messages_skipped"] += left_out.count
+        self._pressure.note_loss()
         self._skip(left_out)
         self._node.get_logger().warning(
             f"{self._topic}: {left_out.count} messages are left out, because events come faster "

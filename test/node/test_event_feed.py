@@ -117,28 +117,29 @@ def test_messages_beyond_the_length_are_left_out_counted_and_said() -> None:
 
 
 def far_behind() -> Bench:
-    """More than half of what may wait has waited at once, for the first time in a second."""
+    """More than half of what may wait has waited for 60 ms."""
     bench = Bench()
     bench.feed.receive(message(0))
-    bench.now += 1
-    bench.waiting += messages(2, 13)
+    bench.waiting += messages(2, 17)
+    bench.cost_s = 0.06  # of the first one
     bench.feed.receive(message(1))
+    bench.cost_s = 0.002
     bench.run()
     return bench
 
 
 def test_messages_that_are_far_behind_are_taken_in_part_and_counted() -> None:
     bench = far_behind()
-    assert bench.done == messages(0, 13)
-    assert bench.parts == [1] + [2] * 12
-    assert bench.statistics.counts["messages_in_part"] == 12
+    assert bench.done == messages(0, 17)
+    assert bench.parts == [1] * 2 + [2] * 15
+    assert bench.statistics.counts["messages_in_part"] == 15
 
 
 def test_messages_of_more_than_6_ms_and_those_without_a_stamp_are_taken_whole() -> None:
     bench = far_behind()
     for data in (message(18), message(25), b"", message(31)):
         bench.feed.receive(data)
-    assert bench.parts[13:] == [2, 1, 1, 2]
+    assert bench.parts[17:] == [2, 1, 1, 2]
 
 
 def test_node_that_is_too_slow_for_whole_messages_takes_parts_and_stays_close_behind() -> None:
@@ -191,18 +192,34 @@ class Turns:
 def test_parts_become_smaller_while_more_than_half_of_what_may_wait_does() -> None:
     turns = Turns()
     assert turns.note(10, 0.5) == [1]
-    assert turns.note(0.04, 0.51) == [2]
-    assert turns.note(0.04, 0.51) == [2, 4]
-    assert turns.note(2, 0.51) == [4, 8, 16]
+    assert turns.note(0.03, 0.51) == [1]
+    assert turns.note(0.04, 0.51) == [1, 2]
+    assert turns.note(2, 0.51) == [2, 4, 8, 16]
 
 
 def test_parts_become_smaller_until_little_waits() -> None:
     turns = Turns()
     turns.note(1, 0.0)
-    assert turns.note(0.01, 0.6) == [2]
-    assert turns.note(0.04, 0.13) == [2]
-    assert turns.note(0.03, 0.13) == [4]
+    assert turns.note(0.08, 0.6) == [1, 2]
+    assert turns.note(0.06, 0.13) == [2, 4]
     assert turns.note(1, 0.12) == [4]
+
+
+def test_second_loss_within_3_s_makes_parts_smaller() -> None:
+    turns = Turns()
+    turns.pressure.note_loss()
+    turns.note(3.1, 0.0)
+    turns.pressure.note_loss()
+    assert turns.note(0.1, 0.0) == [1]
+    turns.pressure.note_loss()
+    assert turns.note(0.1, 0.0) == [2]
+
+
+def test_bursts_that_are_soon_done_are_taken_whole() -> None:
+    turns = Turns()
+    for _ in range(20):
+        assert turns.note(0.04, 1.0) == [1]
+        assert turns.note(0.01, 0.0) == [1]
 
 
 def test_parts_become_larger_again_after_3_s() -> None:
