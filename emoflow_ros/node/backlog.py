@@ -17,7 +17,7 @@ _STAMP_AT, _STAMP_END = 4, 12
 # The stamps do not always tell how much waits. These bounds hold whatever they say.
 _MOST_OF_ONE_STAMP = 1000  # messages
 _MOST_BYTES = 256 * 2**20
-# The first parts of longer messages would look like light that flickers at 100 to 120 Hz.
+# The first parts of longer messages may look like light that flickers at 100 to 120 Hz.
 _LONGEST_IN_PART = 6 * NS_PER_MS
 
 
