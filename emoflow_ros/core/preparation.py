@@ -92,12 +92,17 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     Returns:
         None if they are too few, or one burst without the time that motion needs, or all on
         a few pixels without the place that it needs.
+
+    Raises:
+        ValueError: events lie outside the window's interval, where the flow has no nodes.
     """
     events = window.events
     if len(events) < config.min_events:
         return None
     events = spread(events, config.max_events)
     s = ((events.t - window.t_start) / (window.t_end - window.t_start)).astype(np.float32)
+    if s.min() < 0 or s.max() > 1:
+        raise ValueError("a window's events have to lie between t_start and t_end")
     if s[9 * len(s) // 10] - s[len(s) // 10] < _SHORTEST_SPREAD:
         return None
     px = image.sensor_px

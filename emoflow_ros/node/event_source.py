@@ -26,7 +26,9 @@ from emoflow_ros.node.topic_search import (
     topic_beside,
 )
 
-_EVENT_DEPTH = 1000  # as event camera drivers publish
+# 0.25 s of the messages of 1 ms that drivers publish by default: more than the backlog keeps. At 50
+# million events per second a message has 220 kB, so that a deeper queue costs hundreds of MB.
+_EVENT_DEPTH = 250
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _POLICIES = QoSOverridingOptions.with_default_policies().policy_kinds
 _LOOK_S = 0.1

@@ -250,6 +250,15 @@ def test_events_beyond_the_sensor_are_ignored(calm):
     assert same(estimate, calm.estimates[0])
 
 
+@pytest.mark.parametrize("shift_ns", [-50 * NS_PER_MS, 50 * NS_PER_MS])
+def test_a_window_with_events_outside_its_interval_is_refused(calm, shift_ns):
+    """The flow has no nodes there: the loops in machine code would leave their arrays."""
+    window = calm.windows[0]
+    wrong = replace(window, t_start=window.t_start + shift_ns, t_end=window.t_end + shift_ns)
+    with pytest.raises(ValueError, match="between t_start and t_end"):
+        calm.estimator().estimate(wrong)
+
+
 def test_windows_with_five_times_as_many_events_are_thinned(calm):
     assert len(calm.windows[0].events) > 5 * 20_000
     estimator = calm.estimator(max_events=20_000)

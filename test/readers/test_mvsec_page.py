@@ -74,7 +74,7 @@ def test_qos_file_names_the_topic_and_policies_of_rosbag2() -> None:
     }
     for policy, values in policies.items():
         assert overrides[TOPIC][policy].upper() in values.__members__
-    assert overrides[TOPIC]["depth"] == 1000  # as the node's own subscription
+    assert overrides[TOPIC]["depth"] == 1000
 
 
 def test_launch_commands_give_arguments_that_exist() -> None:
