@@ -26,8 +26,8 @@ from emoflow_ros.node.topic_search import (
     topic_beside,
 )
 
-# 0.25 s of messages of 1 ms; by default the backlog keeps 0.2 s. At 50 million events per second such
-# a message has 220 kB: 1000 would hold 220 MB.
+# 0.25 s of messages of 1 ms; by default the backlog keeps 0.2 s. At 50 million events per second
+# such a message has 220 kB: 1000 would hold 220 MB.
 _EVENT_DEPTH = 250
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _POLICIES = QoSOverridingOptions.with_default_policies().policy_kinds
