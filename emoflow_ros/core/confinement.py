@@ -7,8 +7,9 @@ elsewhere become sharper, too, however few they are. Where it is at rest, they a
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.contrast import ImageContrast, WindowEvents
+from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 

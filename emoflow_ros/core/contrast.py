@@ -10,81 +10,35 @@ window. Within a quarter events lie close together whatever the flow, most of al
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core import derivatives, kernels
-from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.normal_equations import gather_cells
+from emoflow_ros.core.cells import Cells
+from emoflow_ros.core.lattice import Lattice, material_derivative
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.window_events import PARTS, CellEvents, WindowEvents
 
-PARTS = 4  # parts of the window whose images are compared
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 SIGMA = 1.0  # of the Gaussian that smooths the image, image pixels
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: that is the most costly part
 
-_DENSITY_CELL = 4  # side of the cells in which density is counted, px
-_DENSITY_SIGMA = 2.0  # standard deviation of the density's smoothing, cells
-_DENSITY_FLOOR = 0.1  # share of the mean density that is added: lone events stay weak
-
 F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
 
-
-@dataclass(frozen=True)
-class WindowEvents:
-    """Events of one window as the kernels take them.
-
-    Attributes:
-        x, y: (N,) px.
-        s: (N,) time in [0, 1] over the window.
-        weights: (N,) polarity (+-1) over the square root of the density around.
-    """
-
-    x: F32
-    y: F32
-    s: F32
-    weights: F32
-
-    @classmethod
-    def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
-        """Weigh events by their polarity and density."""
-        column = x.astype(np.intp) // _DENSITY_CELL
-        row = y.astype(np.intp) // _DENSITY_CELL
-        columns, rows = int(column.max()) + 1, int(row.max()) + 1
-        cell = row * columns + column
-        count = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
-        density = count.astype(np.float32)
-        taps = gaussian(_DENSITY_SIGMA)
-        support = np.ones_like(density)
-        smooth(density, taps)
-        smooth(support, taps)
-        density = density / support + np.float32(_DENSITY_FLOOR * count.mean())
-        size = _DENSITY_CELL / np.sqrt(density.ravel()[cell])
-        return cls(x, y, s, np.where(on, size, -size).astype(np.float32))
-
-    def every(self, step: int) -> "WindowEvents":
-        """Thin out to each step-th event; the weights make up for it."""
-        x, y, s, weights = (
-            np.ascontiguousarray(c[::step]) for c in (self.x, self.y, self.s, self.weights)
-        )
-        return WindowEvents(x, y, s, weights * np.float32(np.sqrt(step)))
-
-    def between(self, begin: float, end: float) -> "WindowEvents":
-        """Take the events of a part of the window, times in [0, 1]."""
-        return self.at((self.s >= begin) & (self.s <= end))
-
-    def at(self, chosen: NDArray[np.bool_]) -> "WindowEvents":
-        """Take the events of a mask (N,)."""
-        return WindowEvents(*(c[chosen] for c in (self.x, self.y, self.s, self.weights)))
-
-    def __len__(self) -> int:
-        return len(self.x)
+_compiled = numba.njit(cache=True, nogil=True)
 
 
 class ImageContrast(Protocol):
     """A contrast as the lattice fit takes it, wherever it is computed; see Contrast."""
+
+    @property
+    def lattice(self) -> Lattice:
+        """Of the flow."""
+        ...
 
     @property
     def scale(self) -> float:
@@ -99,39 +53,15 @@ class ImageContrast(Protocol):
         """Contrast of the warped events over that of the events as they came."""
         ...
 
-    def linearise(
-        self,
-        events: WindowEvents,
-        flow: F32,
-        vector: NDArray[np.float64],
-        band: NDArray[np.float64],
-        ref: float = 0.5,
-    ) -> None:
-        """Add gradient and curvature of the contrast between the window's parts."""
+    def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
+        """Gradient and curvature of the contrast between the window's parts.
+
+        They hold until the next call.
+        """
         ...
 
 
 type ContrastFactory = Callable[[Lattice, float], ImageContrast]
-
-
-def gaussian(sigma: float) -> F32:
-    """Sampled Gaussian with sum 1, to 2.5 sigma on either side."""
-    reach = int(np.ceil(2.5 * sigma))
-    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return (taps / taps.sum()).astype(np.float32)
-
-
-def smooth(image: F32, taps: F32) -> None:
-    """Convolve an image (h, w) along rows and columns, in place; zero outside.
-
-    Args:
-        image: (h, w).
-        taps: symmetric, 13 at most.
-    """
-    middle = len(taps) // 2
-    outwards = np.zeros(kernels.REACH + 1, np.float32)
-    outwards[: middle + 1] = taps[middle:]
-    kernels.smooth(image, outwards)
 
 
 class Contrast:
@@ -146,82 +76,113 @@ class Contrast:
         self.lattice = lattice
         self.scale = scale
         self._area = scale**2  # makes contrasts of all scales alike
-        self._taps = gaussian(SIGMA)
-        self._taps_twice = np.convolve(self._taps, self._taps)
+        taps = gaussian(SIGMA)
+        self._taps, self._taps_twice = outwards(taps), outwards(np.convolve(taps, taps))
         margin = 2 * kernels.MARGIN
         shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
         self.image = np.zeros(shape, np.float32)
         self._parts = np.zeros((PARTS, *shape), np.float32)
-        cells = (lattice.columns - 1, lattice.rows - 1, lattice.times - 1)
-        self._gradient = np.zeros((*cells, 2, 8), np.float32)
-        self._curvature = np.zeros((*cells, 8, 3, 8), np.float32)
+        self._cells = Cells.empty(lattice.columns, lattice.rows)
 
-    def sharpen(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> tuple[float, F32]:
-        """Draw the smoothed image of the events warped to `ref` into `self.image`.
-
-        Returns:
-            The contrast and the warped positions (2, N) px.
-        """
-        position = self._warp(events, flow, ref)
-        return self.score(events, position), position
+    def sharpen(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> float:
+        """Draw the smoothed image of the events warped to `ref`, and return its contrast."""
+        per_px = self.lattice.per_px
+        return self._area * _sharpen(
+            *events.on(self.lattice), ref, flow, per_px, self.scale, self._taps, self.image
+        )
 
     def score(self, events: WindowEvents, position: F32) -> float:
         """Contrast of events at given positions (2, N) px."""
-        kernels.vote(position, events.weights, self.scale, self.image[None])
-        smooth(self.image, self._taps)
-        flat = self.image.ravel()
-        return 0.5 * self._area * float(flat @ flat)
+        return self._area * _draw(position, events.weights, self.scale, self._taps, self.image)
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of the warped events over that of the events as they came.
 
         0 where the latter is 0, because as many events of either polarity lie at each pixel.
         """
-        sharp, _ = self.sharpen(events, flow)
+        sharp = self.sharpen(events, flow)
         as_came = self.score(events, np.stack([events.x, events.y]))
         return sharp / as_came if as_came > 0 else 0.0
 
-    def linearise(
-        self,
-        events: WindowEvents,
-        flow: F32,
-        vector: NDArray[np.float64],
-        band: NDArray[np.float64],
-        ref: float = 0.5,
-    ) -> None:
-        """Add gradient and curvature of the contrast between the window's parts.
+    def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
+        """Gradient and curvature of the contrast between the window's parts.
 
-        With the images I_a of n parts, n / (n - 1) sum_(a < b) I_a . I_b: the contrast of all
-        events without what each part's events make of it among themselves. Seen from the middle
-        of the window the image of all events stays in place while the flow changes, so that the
-        events' stiffness alone is the right curvature. The image of the other parts moves
-        against an event: by another 1 / (n - 1).
+        They hold until the next call. With the images I_a of n parts they are those of
+        n / (n - 1) sum_(a < b) I_a . I_b: the contrast of all events without what each part's
+        events make of it among themselves. Seen from the middle of the window the image of all
+        events stays in place while the flow changes, so that the events' stiffness alone is the
+        right curvature. The image of the other parts moves against an event: by another
+        1 / (n - 1).
         """
-        position = self._warp(events, flow, ref)
-        parts = self._parts
-        kernels.vote(position, events.weights, self.scale, parts)
-        for image in parts:
-            smooth(image, self._taps_twice)
-        kernels.without_own(parts)  # now what the other parts draw
-        self._gradient[:] = 0.0
-        self._curvature[:] = 0.0
-        drawn = (
-            events.x, events.y, events.s, events.weights, ref, position,
-            parts, self.scale, self.lattice.per_px,
-        )  # fmt: skip
-        derivatives.pull(*drawn, self._gradient)
-        derivatives.stiffen(*drawn, STIFFNESS_STRIDE, self._curvature)
         slope = self._area * PAIRS
-        gather_cells(self._gradient, self._curvature, slope, slope * PAIRS, vector, band)
-
-    def _warp(self, events: WindowEvents, flow: F32, ref: float) -> F32:
-        position = np.empty((2, len(events)), np.float32)
-        acceleration = self.lattice.acceleration(flow)
-        kernels.warp(
-            events.x, events.y, events.s, ref, flow, acceleration,
-            self.lattice.per_px, position,
+        _linearise(
+            *events.on(self.lattice), ref, flow, self.lattice.per_px, self.scale, self._taps_twice,
+            slope, self._parts, *self._cells,
         )  # fmt: skip
-        return position
+        return self._cells
+
+
+@_compiled
+def _draw(position: F32, weights: F32, scale: float, taps: F32, image: F32) -> float:
+    """Draw the smoothed image of events at positions (2, N) px; half the sum of its squares."""
+    images = image.reshape((1, *image.shape))
+    kernels.vote(position, weights, np.zeros(len(weights), np.int32), scale, images)
+    smooth(images, taps)
+    return 0.5 * _sum_of_squares(image.ravel())
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _sum_of_squares(values: F32) -> float:
+    total = np.float32(0)
+    for k in range(len(values)):
+        total += values[k] * values[k]
+    return float(total)
+
+
+@_compiled
+def _sharpen(
+    x: F32, y: F32, right: F32, down: F32, s: F32, weights: F32, part: I32, begin: I32,
+    ref: float, flow: F32, per_px: F32, scale: float, taps: F32, image: F32,
+) -> float:  # fmt: skip
+    """Draw the smoothed image of warped CellEvents; half the sum of its squares."""
+    events = CellEvents(x, y, right, down, s, weights, part, begin)
+    return _draw(_warp(events, ref, flow, per_px), weights, scale, taps, image)
+
+
+@_compiled
+def _warp(events: CellEvents, ref: float, flow: F32, per_px: F32) -> F32:
+    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
+    material_derivative(flow, per_px, acceleration)
+    position = np.empty((2, len(events.s)), np.float32)
+    kernels.warp(events, ref, flow, acceleration, position)
+    return position
+
+
+@_compiled
+def _linearise(
+    x: F32, y: F32, right: F32, down: F32, s: F32, weights: F32, part: I32, begin: I32,
+    ref: float, flow: F32, per_px: F32, scale: float, taps: F32, slope: float,
+    images: F32, gradient: F32, curvature: F32,
+) -> None:  # fmt: skip
+    """Compute gradient and curvature, all in one call: each call takes microseconds by itself.
+
+    Args:
+        x, y, right, down, s, weights, part, begin: fields of CellEvents.
+        ref, flow: see `Contrast.linearise`.
+        per_px, scale, taps: of the lattice, of the images, and of their smoothing, twice.
+        slope: factor of the gradient.
+        images: (PARTS, h, w), overwritten.
+        gradient, curvature: of Cells, overwritten.
+    """
+    events = CellEvents(x, y, right, down, s, weights, part, begin)
+    position = _warp(events, ref, flow, per_px)
+    kernels.vote(position, weights, part, scale, images)
+    smooth(images, taps)
+    kernels.without_own(images)  # now what the other parts draw
+    derivatives.pull(events, ref, position, images, scale, slope, gradient)
+    derivatives.stiffen(
+        events, ref, position, images, scale, STIFFNESS_STRIDE, slope * PAIRS, curvature
+    )
 
 
 def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: float) -> F32:

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from emoflow_ros.core.contrast import PAIRS, PARTS, SIGMA, WindowEvents, gaussian
+from emoflow_ros.core.cells import PAIR, PAIRS_OF_NODES, Cells
+from emoflow_ros.core.contrast import PAIRS, SIGMA
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.normal_equations import gather_cells
+from emoflow_ros.core.smoothing import gaussian
+from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 _WARM_UPS = 3  # before the capture, as torch asks for
 
@@ -60,9 +62,13 @@ class TorchContrast:
         self._events = DeviceEvents(lattice, capacity, device)
         self._field = torch.zeros(lattice.unknowns // 2, 4, device=device)
         self._field_on_host = host_buffer(tuple(self._field.shape), device)
-        self._cells = (lattice.columns - 1, lattice.rows - 1, lattice.times - 1)
+        self._cells = (lattice.columns - 1, lattice.rows - 1)
         self._of_gradient = int(np.prod(self._cells)) * 2 * 8
-        of_curvature = int(np.prod(self._cells)) * 8 * 3 * 8
+        of_curvature = int(np.prod(self._cells)) * PAIRS_OF_NODES * 3
+        # Of the 8 x 3 x 8 sums of two nodes, those with the first of each product's pairs
+        first = np.stack(np.unravel_index(np.unique(PAIR, return_index=True)[1], PAIR.shape))
+        products = first[0][:, None] * 24 + np.arange(3) * 8 + first[1][:, None]
+        self._products = torch.tensor(products.ravel(), device=device)
         self._answer = torch.zeros(self._of_gradient + of_curvature, device=device)
         self._answer_on_host = host_buffer(tuple(self._answer.shape), device)
         self._run = self._step if device == "cpu" else self._capture().replay
@@ -86,23 +92,16 @@ class TorchContrast:
         as_came = self._energy(self._draw(torch.stack([x, y], dim=1), weights))
         return torch.where(as_came > 0, sharp / as_came, 0.0).item()
 
-    def linearise(
-        self,
-        events: WindowEvents,
-        flow: F32,
-        vector: NDArray[np.float64],
-        band: NDArray[np.float64],
-        ref: float = 0.5,
-    ) -> None:
-        """Add gradient and curvature of the contrast between the window's parts."""
+    def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
+        """Gradient and curvature of the contrast between the window's parts."""
         self._load(events, flow, ref)
         self._run()
         self._answer_on_host.copy_(self._answer)  # waits
         answer = self._answer_on_host.numpy()
         gradient = answer[: self._of_gradient].reshape(*self._cells, 2, 8)
-        curvature = answer[self._of_gradient :].reshape(*self._cells, 8, 3, 8)
-        slope = self._area * PAIRS
-        gather_cells(gradient, curvature, slope, slope * PAIRS, vector, band)
+        curvature = answer[self._of_gradient :].reshape(*self._cells, PAIRS_OF_NODES, 3)
+        slope = np.float32(self._area * PAIRS)
+        return Cells(slope * gradient, slope * np.float32(PAIRS) * curvature)
 
     def _load(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> None:
         """Send the window's events, where they are new, and the field with its acceleration."""
@@ -144,7 +143,8 @@ class TorchContrast:
         rows = torch.cat([pull.T, by_node], dim=1).view(blocks, -1, 26)
         sums = events.basis.view(blocks, -1, 8).transpose(1, 2) @ rows
         sums = (events.members @ sums.flatten(1)).view(cells, 8, 26)
-        gradient, curvature = sums[..., :2].transpose(1, 2), sums[..., 2:]
+        gradient, curvature = sums[..., :2].transpose(1, 2), sums[..., 2:].flatten(1)
+        curvature = curvature[:, self._products]
         torch.cat([gradient.flatten(), curvature.flatten()], out=self._answer)
 
     def _warp(self) -> Tensor:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core import earlier_scene, second_look
-from emoflow_ros.core.contrast import ContrastFactory, WindowEvents
+from emoflow_ros.core.contrast import ContrastFactory
 from emoflow_ros.core.doubt import Doubt
 from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes, Recalled
 from emoflow_ros.core.egomotion import NodeEpipolar
@@ -18,6 +18,7 @@ from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.second_look import SecondLook, distance, fresh_start
 from emoflow_ros.core.uncertainty import Disagreement
+from emoflow_ros.core.window_events import WindowEvents
 
 F32 = NDArray[np.float32]
 

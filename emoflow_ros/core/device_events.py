@@ -4,8 +4,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from emoflow_ros.core.contrast import PARTS, STIFFNESS_STRIDE, WindowEvents
+from emoflow_ros.core.contrast import STIFFNESS_STRIDE
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 _BLOCK = 64  # slots; on a DAVIS346 with 30 000 events about an eighth stays empty
 
@@ -84,14 +85,13 @@ class DeviceEvents:
 
     def _fill_slots(self, count: int) -> None:
         cell, _ = self._place(self.columns[:, :-1], 0.5 * (self.columns[2, :-1] + self._ref))
-        source = self._sources(self._flat(cell))
+        source = self._sources(self._flat(cell), count)
         slotted = self.columns[:, source]
         self.xy.copy_(slotted[:2].T)
         self.weights.copy_(slotted[3])
         self.lever.copy_((self._ref - slotted[2])[:, None])
         for k in range(PARTS):
             self.part.masked_fill_(source >= k * count // PARTS, k)
-        self.copies.copy_(STIFFNESS_STRIDE * (source % STIFFNESS_STRIDE == 0))
         # The change in time acts through the acceleration, too: as at half the way.
         _, part = self._place(slotted, 0.5 * (slotted[2] + self._ref))
         self.basis.copy_(_corner_weights(part))
@@ -112,11 +112,12 @@ class DeviceEvents:
         _, rows, times = self._shape
         return (cell[0] * rows + cell[1]) * times + cell[2]
 
-    def _sources(self, cell: Tensor) -> Tensor:
-        """Choose the event in each slot, (S,), and the blocks' cells.
+    def _sources(self, cell: Tensor, events: int) -> Tensor:
+        """Choose the event in each slot, (S,), the blocks' cells and whose stiffness is taken.
 
         Args:
             cell: (capacity,) of each event; slots left empty get the one behind the last.
+            events: number of them; what follows has no weight.
         """
         cells, blocks = self.members.shape
         count = torch.zeros(cells, dtype=torch.int64, device=cell.device)
@@ -131,7 +132,13 @@ class DeviceEvents:
         before = count.cumsum(0) - count
         rank = torch.arange(self.capacity, device=cell.device) - before[home]
         source = torch.full((blocks * _BLOCK,), self.capacity, device=cell.device)
-        source[first[home] * _BLOCK + rank] = order
+        slot = first[home] * _BLOCK + rank
+        source[slot] = order
+        there = torch.zeros_like(count).index_add_(0, cell[:events], torch.ones_like(cell[:events]))
+        taken = (there + STIFFNESS_STRIDE - 1) // STIFFNESS_STRIDE
+        share = there / taken.clamp(min=1)
+        self.copies.zero_()
+        self.copies[slot] = share[home] * (rank % STIFFNESS_STRIDE == 0)
         return source
 
 

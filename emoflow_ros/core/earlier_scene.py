@@ -19,16 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsbmv
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS
-from emoflow_ros.core.contrast import ImageContrast, WindowEvents
+from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -64,7 +63,6 @@ class KnownScene:
     def fit(
         self,
         contrast: ImageContrast,
-        equations: NormalEquations,
         events: WindowEvents,
         duration: float,
         prior: tuple[Array, Array],
@@ -75,7 +73,6 @@ class KnownScene:
 
         Args:
             contrast: at one scale.
-            equations: of its lattice; overwritten.
             events: of the window.
             duration: of the window, s.
             prior: expected change (m,) and the information (m, m) on it; m = 3 leaves v as it is.
@@ -90,18 +87,13 @@ class KnownScene:
         """
         expected, certainty = prior
         change, information = start, certainty
-        by_motion = duration * self.by_motion[..., : len(start)]
-        times = equations.lattice.times
-        rows = np.repeat(by_motion[:, None], times, axis=1).reshape(-1, len(start))
+        by_motion = np.ascontiguousarray(duration * self.by_motion[..., : len(start)])
         for _ in range(steps):
-            equations.clear()
-            flow = self.field(equations.lattice, duration, change)
-            contrast.linearise(events, flow, equations.vector, equations.band)
-            force = rows.T @ equations.vector / INFORMATION_EXCESS
-            curvature = rows.T @ _times_band(equations.band, rows) / INFORMATION_EXCESS
-            information = curvature + certainty
-            step = np.linalg.solve(information, force - certainty @ (change - expected))
-            change = change + step
+            cells = contrast.linearise(events, self.field(contrast.lattice, duration, change))
+            force, curvature = cells.project(by_motion)
+            information = curvature / INFORMATION_EXCESS + certainty
+            push = force / INFORMATION_EXCESS - certainty @ (change - expected)
+            change = change + np.linalg.solve(information, push)
         return change, information
 
     def field(self, lattice: Lattice, duration: float, change: Array) -> NDArray[np.float32]:
@@ -205,7 +197,6 @@ class EarlierScenes:
         self._epipolar = epipolar
         self._contrasts = contrasts
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
-        self._equations = NormalEquations(lattice, 0)
         self._scenes: deque[EarlierScene] = deque()
 
     def forget(self) -> None:
@@ -250,9 +241,7 @@ class EarlierScenes:
             prior = change, np.linalg.inv(covariance[:free, :free])
             for scale, steps in _STEPS:
                 contrast = self._contrasts[scale]
-                change, _ = known.fit(
-                    contrast, self._equations, few, window.duration, prior, change, steps
-                )
+                change, _ = known.fit(contrast, few, window.duration, prior, change, steps)
         except np.linalg.LinAlgError:
             return None
         w = scene.w + change[:3]
@@ -283,9 +272,3 @@ def _rigid(epipolar: NodeEpipolar, scene: EarlierScene, inverse_depth: Array) ->
     """Flow (nodes, 2) of static points, px/s."""
     flow: Array = epipolar.b @ scene.w + inverse_depth[:, None] * (epipolar.a @ scene.v)
     return flow
-
-
-def _times_band(band: Array, columns: Array) -> Array:
-    """Multiply a symmetric matrix in lower band storage with columns (n, m)."""
-    products = [dsbmv(band.shape[1] - 1, 1.0, band.T, column, lower=1) for column in columns.T]
-    return np.stack(products, axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from emoflow_ros.core import kernels
+F32 = NDArray[np.float32]
 
 _MOST_NODES = 18
 # Midpoint steps per window of the dense products. Error below 1e-3 px where the flow is linear in
@@ -103,7 +103,7 @@ class Lattice:
     def acceleration(self, flow: NDArray[np.float32]) -> NDArray[np.float32]:
         """Material derivative du/ds + (u . grad) u at the nodes, (columns, rows, 2)."""
         result = np.empty((self.columns, self.rows, 2), np.float32)
-        kernels.material_derivative(flow, self.per_px, result)
+        material_derivative(flow, self.per_px, result)
         return result
 
     def sample(
@@ -228,3 +228,33 @@ def bilinear(
             right = (1 - b) * grid[c + 1, r, d] + b * grid[c + 1, r + 1, d]
             out[i, d] = (1 - a) * left + a * right
     return out
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def material_derivative(flow: F32, per_px: F32, out: F32) -> None:
+    """Differentiate a field along its own motion, du/ds + (u . grad) u, over the whole window.
+
+    Central differences of the mean in space, one-sided at the border.
+
+    Args:
+        flow: (columns, rows, times, 2) px per window.
+        per_px: (2,) lattice cells per pixel in x and y.
+        out: (columns, rows, 2) px per window squared, written.
+    """
+    columns, rows, times, _ = flow.shape
+    mean = np.zeros((columns, rows, 2), np.float32)
+    for q in range(times):
+        mean += flow[:, :, q] / np.float32(times)
+    for c in range(columns):
+        before, after = max(c - 1, 0), min(c + 1, columns - 1)
+        per_x = per_px[0] / np.float32(after - before)
+        for r in range(rows):
+            above, below = max(r - 1, 0), min(r + 1, rows - 1)
+            per_y = per_px[1] / np.float32(below - above)
+            for d in range(2):
+                out[c, r, d] = (
+                    flow[c, r, -1, d]
+                    - flow[c, r, 0, d]
+                    + mean[c, r, 0] * per_x * (mean[after, r, d] - mean[before, r, d])
+                    + mean[c, r, 1] * per_y * (mean[c, below, d] - mean[c, above, d])
+                )

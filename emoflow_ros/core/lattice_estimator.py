@@ -12,7 +12,7 @@ from emoflow_ros.core.belief import KnownRotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.confinement import is_confined
-from emoflow_ros.core.contrast import Contrast, ContrastFactory, WindowEvents
+from emoflow_ros.core.contrast import Contrast, ContrastFactory
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
@@ -30,6 +30,7 @@ from emoflow_ros.core.second_look import best_start, cold_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.tremor import Tremor
 from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperature
+from emoflow_ros.core.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 
@@ -63,10 +64,10 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
-        self._change = MotionChange(self.lattice, self._fit.contrasts[0.25])
+        self._change = MotionChange(self._fit.contrasts[0.25])
         self._check = CrossCheck(self.lattice, self._epipolar, make_contrast, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
-        self._tremor = Tremor(self._image, self.lattice, self._epipolar, self._fit.contrasts[0.5])
+        self._tremor = Tremor(self._image, self._epipolar, self._fit.contrasts[0.5])
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()

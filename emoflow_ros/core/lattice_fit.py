@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, KnownRotation, Structure
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis
-from emoflow_ros.core.contrast import Contrast, ContrastFactory, WindowEvents
+from emoflow_ros.core.contrast import Contrast, ContrastFactory
 from emoflow_ros.core.egomotion import (
     MOTION_UNKNOWNS,
     Motion,
@@ -21,6 +21,7 @@ from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.uncertainty import trusted
+from emoflow_ros.core.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 
@@ -152,12 +153,11 @@ class LatticeFit:
 
     def linearise(self, events: WindowEvents, scale: float) -> None:
         """Set up the normal equations of contrast and smoothness at the present flow."""
-        equations = self._equations
-        equations.clear()
-        contrast = self.contrasts[scale]
-        contrast.linearise(events, self.flow, equations.vector, equations.band)
-        self.evidence = equations.node_information()
-        equations.add_smoothness(self.flow, self.config)
+        cells = self.contrasts[scale].linearise(events, self.flow)
+        self.evidence = cells.node_information()
+        self._equations.clear()
+        self._equations.add(cells)
+        self._equations.add_smoothness(self.flow, self.config)
 
     def free_flow(self) -> FreeFlow:
         """Solve the present normal equations without the epipolar constraint."""

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import ImageContrast, WindowEvents
+from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import Window, WindowPolicy
-from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.preparation import reduction
+from emoflow_ros.core.window_events import WindowEvents
 
 F32 = NDArray[np.float32]
 
@@ -158,12 +157,10 @@ class MotionChange:
     """Measures how far the ends of a window move off its fitted flow.
 
     Args:
-        lattice: of the flow.
         contrast: at a low resolution, whose maxima are wide.
     """
 
-    def __init__(self, lattice: Lattice, contrast: ImageContrast) -> None:
-        self._equations = NormalEquations(lattice, 0)
+    def __init__(self, contrast: ImageContrast) -> None:
         self._contrast = contrast
 
     def measure(self, events: WindowEvents, flow: F32) -> float:
@@ -183,9 +180,6 @@ class MotionChange:
         if len(part) < _FEW_EVENTS:
             return 0.0
         few = part.every(max(1, len(part) // _EVENTS))
-        equations = self._equations
-        equations.clear()
-        self._contrast.linearise(few, flow, equations.vector, equations.band, begin + _THIRD / 2)
-        force, stiffness = equations.of_common_shift()
+        force, stiffness = self._contrast.linearise(few, flow, begin + _THIRD / 2).of_common_shift()
         regular = stiffness + 1e-6 * (1 + np.trace(stiffness)) * np.eye(2)
         return float(np.linalg.norm(np.linalg.solve(regular, force))) * _THIRD

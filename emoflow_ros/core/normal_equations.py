@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError
+from emoflow_ros.core.cells import Cells
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 
 Array = NDArray[np.float64]
-F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
@@ -50,21 +50,9 @@ class NormalEquations:
         for part in (self.vector, self.band, self.border, self.corner, self.corner_vector):
             part[:] = 0.0
 
-    def node_information(self) -> Array:
-        """Blocks of H for a flow constant over the window, (nodes, 2, 2), neighbours fixed."""
-        times = self.lattice.times
-        band = self.band.reshape(-1, times, 2, self.band.shape[1])
-        xx = band[:, :, 0, 0].sum(1) + 2 * band[:, :-1, 0, 2].sum(1)
-        yy = band[:, :, 1, 0].sum(1) + 2 * band[:, :-1, 1, 2].sum(1)
-        xy = band[:, :, 0, 1].sum(1) + band[:, :-1, 0, 3].sum(1) + band[:, :-1, 1, 1].sum(1)
-        return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
-
-    def of_common_shift(self) -> tuple[Array, Array]:
-        """Negative gradient (2,) and second derivatives (2, 2) by a flow that all nodes share."""
-        along = self.band[:, 0] + 2 * self.band[:, 2::2].sum(axis=1)
-        xx, yy = along.reshape(-1, 2).sum(axis=0)
-        xy = self.band[:, 1::2].sum()
-        return self.vector.reshape(-1, 2).sum(axis=0), np.array([[xx, xy], [xy, yy]])
+    def add(self, cells: Cells) -> None:
+        """Add a contrast's derivatives."""
+        cells.add_to(self.vector, self.band)
 
     def add_smoothness(self, flow: NDArray[np.float32], config: LatticeConfig) -> None:
         """Add the prior on a field: smooth in space up to edges, and in time.
@@ -138,44 +126,6 @@ class NormalEquations:
 
 
 @_compiled
-def gather_cells(
-    gradient: F32, curvature: F32, slope: float, stiffness: float, vector: F64, band: F64
-) -> None:
-    """Add the cells' gradients and curvatures to the lattice's vector and band matrix.
-
-    Args:
-        gradient, curvature: as `derivatives.pull` and `stiffen` fill them.
-        slope, stiffness: factors of the gradients and of the curvatures.
-        vector: (n,), n = columns * rows * times * 2.
-        band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
-    """
-    cells_x, cells_y, cells_t = gradient.shape[0], gradient.shape[1], gradient.shape[2]
-    rows, times = cells_y + 1, cells_t + 1
-    offset = np.empty(8, np.int64)
-    for c in range(cells_x):
-        for r in range(cells_y):
-            for q in range(cells_t):
-                for a in range(8):
-                    column, row, time = c + (a >> 2), r + ((a >> 1) & 1), q + (a & 1)
-                    offset[a] = 2 * ((column * rows + row) * times + time)
-                g = gradient[c, r, q]
-                h = curvature[c, r, q]
-                for a in range(8):
-                    i = offset[a]
-                    vector[i] += slope * g[0, a]
-                    vector[i + 1] += slope * g[1, a]
-                    for b in range(a + 1):  # offsets grow with the node: the lower triangle
-                        j = offset[b]
-                        d = i - j
-                        cross = stiffness * h[a, 1, b]
-                        band[j, d] += stiffness * h[a, 0, b]
-                        band[j + 1, d] += stiffness * h[a, 2, b]
-                        band[j, d + 1] += cross
-                        if b < a:
-                            band[j + 1, d - 1] += cross
-
-
-@_compiled
 def add_stencil(
     flow: F64, nodes: NDArray[np.int64], coefficients: F64, weight: float, limit: float,
     vector: F64, band: F64,
@@ -191,7 +141,8 @@ def add_stencil(
         coefficients: (K,).
         weight: stiffness of small differences.
         limit: px per window, above which a difference counts as an edge.
-        vector, band: as in `gather_cells`; the vector gets the negative gradient.
+        vector: (n,), gets the negative gradient.
+        band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
     """
     times = flow.shape[1]
     z = np.empty((times, 2))
@@ -247,7 +198,7 @@ def add_rows(
         normal: (nodes, times, 2) derivative of each residual by its node's flow.
         by_further: (nodes, times, m) derivative by unknowns beside the flow.
         weight, r: (nodes, times).
-        vector, band: as in `gather_cells`; the vectors get the negative gradient.
+        vector, band: as in `add_stencil`.
         border: (n, m) second derivatives across.
         corner, corner_vector: (m, m) and (m,), of the other unknowns.
     """

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import WindowEvents
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.thinning import spread
+from emoflow_ros.core.window_events import WindowEvents
 
 # Longer side of the working image of a large sensor, px. Options in pixels are meant for an image
 # of this size. Smaller sensors keep their pixels.

@@ -22,7 +22,6 @@ from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.preparation import WorkingImage, clean, prepare
 from emoflow_ros.core.uncertainty import without_travel
 
@@ -77,7 +76,6 @@ class PresentMotion:
         self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
         self._contrast = Contrast(self._lattice, _SCALE)
-        self._equations = NormalEquations(self._lattice, 0)
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
         self._scene: _Scene | None = None
 
@@ -151,7 +149,7 @@ class PresentMotion:
             predicted = change[:free].copy()
             prior = predicted, np.linalg.inv(covariance[:free, :free])
             change[:free], information = known.fit(
-                self._contrast, self._equations, events, part.duration, prior, predicted, _STEPS
+                self._contrast, events, part.duration, prior, predicted, _STEPS
             )
             covariance[:free, :free] = np.linalg.inv(information)
         except np.linalg.LinAlgError:

@@ -15,18 +15,13 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import (
-    Contrast,
-    ContrastFactory,
-    ImageContrast,
-    WindowEvents,
-    best_constant_flow,
-)
+from emoflow_ros.core.contrast import Contrast, ContrastFactory, ImageContrast, best_constant_flow
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice, LatticeFlow, bilinear
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.preparation import WorkingImage, prepare
+from emoflow_ros.core.window_events import WindowEvents
 
 F32 = NDArray[np.float32]
 
@@ -81,7 +76,7 @@ class SecondLook:
             few = events.every(max(1, len(events) // number))
             for _ in range(steps):
                 equations.clear()
-                self._contrasts[scale].linearise(few, flow, equations.vector, equations.band)
+                equations.add(self._contrasts[scale].linearise(few, flow))
                 equations.add_smoothness(flow, self._config)
                 flow = (flow + equations.solve().reshape(flow.shape)).astype(np.float32)
         return flow

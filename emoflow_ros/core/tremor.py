@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.contrast import ImageContrast, WindowEvents
+from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.earlier_scene import KnownScene
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
-from emoflow_ros.core.normal_equations import NormalEquations
+from emoflow_ros.core.lattice import LatticeFlow
 from emoflow_ros.core.preparation import WorkingImage
+from emoflow_ros.core.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 
@@ -36,18 +36,16 @@ class Tremor:
 
     Args:
         image: that the lattice lies on.
-        lattice: of the flow.
-        epipolar: its rotational flow.
+        epipolar: the rotational flow at the lattice's nodes.
         contrast: at half resolution, whose maxima are wide.
     """
 
     def __init__(
-        self, image: WorkingImage, lattice: Lattice, epipolar: NodeEpipolar, contrast: ImageContrast
+        self, image: WorkingImage, epipolar: NodeEpipolar, contrast: ImageContrast
     ) -> None:
         self._image = image
         self._epipolar = epipolar
         self._contrast = contrast
-        self._equations = NormalEquations(lattice, 0)
 
     def add_to(
         self, estimate: Estimate, events: WindowEvents, flow: NDArray[np.float32]
@@ -88,7 +86,7 @@ class Tremor:
         known = KnownScene.at_depths(self._epipolar, nodes, np.zeros(len(nodes)))
         none, start = (np.zeros(3), np.eye(3) / expected**2), np.zeros(3)
         try:
-            return known.fit(self._contrast, self._equations, few, 1.0, none, start, _STEPS)
+            return known.fit(self._contrast, few, 1.0, none, start, _STEPS)
         except np.linalg.LinAlgError:
             return None
 

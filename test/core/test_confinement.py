@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.confinement import is_confined, spot, spread
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.window_events import WindowEvents
 
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
 CONTRAST = Contrast(LATTICE, 1.0)

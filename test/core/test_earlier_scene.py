@@ -8,7 +8,7 @@ import pytest
 
 from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.earlier_scene import (
     EarlierScene,
@@ -22,8 +22,8 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.uncertainty import Disagreement
+from emoflow_ros.core.window_events import WindowEvents
 
 CAMERA = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
 LATTICE = Lattice.with_spacing(240, 180, 26.0)
@@ -98,7 +98,7 @@ def test_events_tell_how_the_motion_has_changed(free):
     v = V_LATER if free == 6 else V
     prior = np.zeros(free), 1e-3 * np.eye(free)
     change, information = known.fit(
-        SCALES[0.5], NormalEquations(LATTICE, 0), moving(rigid(W_LATER, v)), SECONDS, prior,
+        SCALES[0.5], moving(rigid(W_LATER, v)), SECONDS, prior,
         np.zeros(free), 4,
     )  # fmt: skip
     np.testing.assert_allclose(change[:3], W_LATER - W, atol=0.03)
@@ -110,7 +110,7 @@ def test_a_prior_that_is_certain_decides():
     known = KnownScene.at_depths(EPIPOLAR, rigid(W, V), INVERSE_DEPTH)
     expected = np.array([0.02, 0.0, -0.01, 0.1, 0.0, 0.0])
     change, _ = known.fit(
-        SCALES[0.5], NormalEquations(LATTICE, 0), moving(rigid(W_LATER, V_LATER)), SECONDS,
+        SCALES[0.5], moving(rigid(W_LATER, V_LATER)), SECONDS,
         (expected, 1e12 * np.eye(6)), np.zeros(6), 2,
     )  # fmt: skip
     np.testing.assert_allclose(change, expected, atol=1e-6)

@@ -5,11 +5,12 @@ import pytest
 from scipy.linalg import eigh
 
 from emoflow_ros.core import derivatives, kernels, normal_equations
-from emoflow_ros.core.contrast import gaussian, smooth
-from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.cells import Cells
+from emoflow_ros.core.lattice import Lattice, material_derivative
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.window_events import CellEvents
 
-LATTICE = Lattice(120, 90, 5, 4, 3)
-CELLS = (4, 3, 2)
+LATTICE = Lattice(120, 90, 5, 4)
 EVENTS = 2000
 
 
@@ -18,13 +19,15 @@ def rng():
     return np.random.default_rng(1)
 
 
-def random_events(rng):
-    """Columns x, y, s, weights; corners, the first and the last moment included."""
-    x = rng.integers(0, 120, EVENTS).astype(np.float32)
-    y = rng.integers(0, 90, EVENTS).astype(np.float32)
-    s = rng.random(EVENTS, np.float32)
+def random_events(rng, parts: int = 4, repeat: int = 1) -> CellEvents:
+    """Sorted events; corners, the first and the last moment included."""
+    count = EVENTS // repeat
+    x = rng.integers(0, 120, count).astype(np.float32)
+    y = rng.integers(0, 90, count).astype(np.float32)
+    s = rng.random(count, np.float32)
     x[:4], y[:4], s[:4] = [0, 119, 0, 119], [0, 0, 89, 89], [0, 1, 1, 0]
-    return x, y, s, rng.normal(size=EVENTS).astype(np.float32)
+    columns = (x, y, s, rng.normal(size=count).astype(np.float32))
+    return CellEvents.of(*(np.repeat(c, repeat) for c in columns), LATTICE, parts)
 
 
 def node_weights(x, y, s):
@@ -66,11 +69,12 @@ def dense(band):
 
 @pytest.mark.parametrize("ref", [0.0, 0.5, 1.0])
 def test_warp(rng, ref):
-    x, y, s, _ = random_events(rng)
+    events = random_events(rng)
+    x, y, s = events.x, events.y, events.s
     flow = rng.normal(scale=8, size=LATTICE.shape).astype(np.float32)
     acceleration = rng.normal(scale=3, size=(5, 4, 2)).astype(np.float32)
     out = np.empty((2, EVENTS), np.float32)
-    kernels.warp(x, y, s, ref, flow, acceleration, LATTICE.per_px, out)
+    kernels.warp(events, ref, flow, acceleration, out)
     weights = node_weights(x, y, s)
     u = np.einsum("nijk,ijkd->dn", weights, flow)
     a = np.einsum("nijk,ijd->dn", weights, acceleration)
@@ -84,30 +88,31 @@ def test_vote(rng, scale, parts):
     position = rng.uniform(-40, 160, (2, EVENTS)).astype(np.float32)  # many are far outside
     weights = rng.normal(size=EVENTS).astype(np.float32)
     images = np.full((parts, int(114 * scale) + 1, int(144 * scale) + 1), 7, np.float32)
-    kernels.vote(position, weights, scale, images)
-    cuts = [EVENTS * k // parts for k in range(parts + 1)]
-    for image, first, last in zip(images, cuts[:-1], cuts[1:], strict=True):
-        expected = voted(position[:, first:last], weights[first:last], scale, image.shape)
+    part = rng.integers(0, parts, EVENTS).astype(np.int32)
+    kernels.vote(position, weights, part, scale, images)
+    for k, image in enumerate(images):
+        expected = voted(position[:, part == k], weights[part == k], scale, image.shape)
         np.testing.assert_allclose(image, expected, atol=5e-4)
 
 
 def test_a_vote_on_a_pixel_falls_there():
     images = np.zeros((1, 114, 144), np.float32)
-    kernels.vote(np.array([[30.0], [20.0]], np.float32), np.float32([2.5]), 1.0, images)
+    at, first = np.array([[30.0], [20.0]], np.float32), np.zeros(1, np.int32)
+    kernels.vote(at, np.float32([2.5]), first, 1.0, images)
     image = images[0]
     assert image[20 + kernels.MARGIN, 30 + kernels.MARGIN] == 2.5
     assert np.count_nonzero(image) == 1
 
 
-def slow_pull(x, y, s, weights, ref, position, potentials, scale):
+def slow_pull(events, ref, position, potentials, scale):
     """Gradient (n,) and curvature (n, n) of the lattice, event by event."""
     n = LATTICE.unknowns
     gradient, curvature = np.zeros(n), np.zeros((n, n))
-    basis = node_weights(x, y, (s + ref) / 2).reshape(EVENTS, -1)
-    cuts = [EVENTS * k // len(potentials) for k in range(len(potentials) + 1)]
+    s, weights = events.s, events.weights
+    basis = node_weights(events.x, events.y, (s + ref) / 2).reshape(EVENTS, -1)
     at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
     for k in range(EVENTS):
-        p = potentials[np.searchsorted(cuts, k, side="right") - 1].astype(np.float64)
+        p = potentials[events.part[k]].astype(np.float64)
         (j, i), (fx, fy) = np.floor(at[:, k]).astype(int), at[:, k] % 1
         if min(at[:, k]) < 1 or at[0, k] >= p.shape[1] - 2 or at[1, k] >= p.shape[0] - 2:
             continue
@@ -128,22 +133,20 @@ def slow_pull(x, y, s, weights, ref, position, potentials, scale):
 
 
 def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
-    gradient = np.zeros((*CELLS, 2, 8), np.float32)
-    curvature = np.zeros((*CELLS, 8, 3, 8), np.float32)
-    drawn = (*events, ref, position, potentials, scale, LATTICE.per_px)
-    derivatives.pull(*drawn, gradient)
-    derivatives.stiffen(*drawn, stride, curvature)
+    cells = Cells.empty(LATTICE.columns, LATTICE.rows)
+    drawn = (events, ref, position, potentials, scale)
+    derivatives.pull(*drawn, factor, cells.gradient)
+    derivatives.stiffen(*drawn, stride, factor, cells.curvature)
     vector = np.zeros(LATTICE.unknowns)
     band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
-    normal_equations.gather_cells(gradient, curvature, factor, 2 * factor, vector, band)
-    band /= 2
+    cells.add_to(vector, band)
     return vector, dense(band)
 
 
 def smooth_image(rng, shape):
-    image = rng.normal(size=shape).astype(np.float32)
-    smooth(image, gaussian(1.0))
-    return image
+    images = rng.normal(size=(1, *shape)).astype(np.float32)
+    smooth(images, outwards(gaussian(1.0)))
+    return images[0]
 
 
 def test_material_derivative_is_that_of_numpy_gradients(rng):
@@ -152,17 +155,17 @@ def test_material_derivative_is_that_of_numpy_gradients(rng):
     along = [np.gradient(mean, axis=d) * LATTICE.per_px[d] for d in range(2)]
     expected = flow[:, :, -1] - flow[:, :, 0] + sum(mean[..., d : d + 1] * along[d] for d in (0, 1))
     found = np.empty((5, 4, 2), np.float32)
-    kernels.material_derivative(flow, LATTICE.per_px, found)
+    material_derivative(flow, LATTICE.per_px, found)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0])
 def test_pull_and_gathering_are_the_dense_sums_over_events(rng, scale):
-    events = random_events(rng)
+    events = random_events(rng, parts=3)
     position = rng.uniform(-15, 135, (2, EVENTS)).astype(np.float32)
     shape = (int(114 * scale) + 1, int(144 * scale) + 1)
     potentials = np.stack([smooth_image(rng, shape) for _ in range(3)])
-    expected_vector, expected = slow_pull(*events, 0.5, position, potentials, scale)
+    expected_vector, expected = slow_pull(events, 0.5, position, potentials, scale)
     vector, matrix = fast_pull(events, 0.5, position, potentials, scale, 1)
     # Sums of some hundred float32 terms of either sign.
     np.testing.assert_allclose(vector, expected_vector, atol=1e-5 * np.abs(expected_vector).max())
@@ -171,8 +174,8 @@ def test_pull_and_gathering_are_the_dense_sums_over_events(rng, scale):
 
 
 def test_factor_and_stride_of_the_curvature(rng):
-    """Each stride-th event counts for all: exact for events that come stride times."""
-    events = tuple(np.repeat(column[: EVENTS // 2], 2) for column in random_events(rng))
+    """Each stride-th event of a cell counts for all: exact for events that come stride times."""
+    events = random_events(rng, parts=1, repeat=2)
     position = np.repeat(rng.uniform(0, 90, (2, EVENTS // 2)).astype(np.float32), 2, axis=1)
     potentials = smooth_image(rng, (115, 145))[None]
     vector, matrix = fast_pull(events, 0.5, position, potentials, 1.0, 1)

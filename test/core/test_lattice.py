@@ -4,6 +4,7 @@ from scipy.linalg import expm
 
 from emoflow_ros.core import kernels
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.window_events import CellEvents
 
 MS = 1_000_000
 START = 1_500_000_000_000_000_000
@@ -131,8 +132,9 @@ def test_warp_is_transport_to_second_order(points, gradient, drift):
     for dt in (0.4, 0.2):
         s = np.full(len(points), 0.5 - dt, np.float32)
         warped = np.empty_like(columns)
-        kernels.warp(*columns, s, 0.5, flow, acceleration, LATTICE.per_px, warped)
-        exact, steps = columns.T.astype(np.float64), 64
+        events = CellEvents.of(*columns, s, np.ones_like(s), LATTICE, 1)
+        kernels.warp(events, 0.5, flow, acceleration, warped)
+        exact, steps = np.stack([events.x, events.y], axis=1).astype(np.float64), 64
         for k in range(steps):
             exact = LATTICE.advance(
                 flow, exact, 0.5 - dt + dt * k / steps, 0.5 - dt + dt * (k + 1) / steps

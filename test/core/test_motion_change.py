@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.motion_windows import MotionChange
+from emoflow_ros.core.window_events import WindowEvents
 
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
-CHANGE = MotionChange(LATTICE, Contrast(LATTICE, 0.25))
+CHANGE = MotionChange(Contrast(LATTICE, 0.25))
 
 
 @pytest.mark.parametrize("late_px", [0.0, 1.0, 3.0])

@@ -95,29 +95,6 @@ def test_rows_are_weighted_squares_of_residuals(equations):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("times", [2, 3])
-def test_node_information_is_that_of_a_flow_constant_in_time(times):
-    lattice = Lattice(60, 50, 4, 3, times)
-    equations = NormalEquations(lattice, 0)
-    block = 2 * times
-    rng = np.random.default_rng(4)
-    blocks = rng.normal(size=(12, block, block))
-    blocks = blocks + np.swapaxes(blocks, 1, 2)
-    blocks *= np.abs(np.subtract.outer(np.arange(block) // 2, np.arange(block) // 2)) <= 1
-    for d in range(block):
-        for j in range(block - d):
-            equations.band[j::block, d] = blocks[:, j + d, j]
-    same = np.tile(np.eye(2), (times, 1))  # one (u, v) at all times
-    np.testing.assert_allclose(equations.node_information(), same.T @ blocks @ same, atol=1e-12)
-
-
-def test_a_common_shift_meets_the_sums_of_all_second_derivatives(equations):
-    common = np.tile(np.eye(2), (N // 2, 1))
-    force, stiffness = equations.of_common_shift()
-    np.testing.assert_allclose(force, common.T @ equations.vector)
-    np.testing.assert_allclose(stiffness, common.T @ dense(equations.band) @ common)
-
-
 def test_clear_starts_anew(equations):
     add_border(equations, np.random.default_rng(7))
     equations.clear()

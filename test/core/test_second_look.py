@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NotPositiveDefiniteError
 from emoflow_ros.core.second_look import QuickLook, SecondLook, distance, fresh_start
+from emoflow_ros.core.window_events import WindowEvents
 
 LATTICE = Lattice.with_spacing(160, 120, 26.0)
 CONTRASTS = {scale: Contrast(LATTICE, scale) for scale in (0.25, 0.5)}

@@ -8,7 +8,7 @@ import pytest
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.config import GyroConfig
-from emoflow_ros.core.contrast import Contrast, WindowEvents
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
@@ -18,12 +18,13 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.tremor import Tremor
+from emoflow_ros.core.window_events import WindowEvents
 from emoflow_ros.simulation.simulate import simulate
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
 EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, 0.7)
-TREMOR = Tremor(WorkingImage.of(CAMERA), LATTICE, EPIPOLAR, Contrast(LATTICE, 0.5))
+TREMOR = Tremor(WorkingImage.of(CAMERA), EPIPOLAR, Contrast(LATTICE, 0.5))
 NS = 135_000_000
 SECONDS = NS * 1e-9
 TURN = np.radians([5.0, -30.0, 4.0])  # rad/s, the mean over the window
@@ -114,7 +115,7 @@ def test_noise_tells_no_tremor():
 def test_on_a_larger_sensor_the_flow_of_the_tremor_is_in_its_pixels():
     sensor = CAMERA.resized(692, 520)
     image = WorkingImage.of(sensor)
-    tremor = Tremor(image, LATTICE, EPIPOLAR, Contrast(LATTICE, 0.5))
+    tremor = Tremor(image, EPIPOLAR, Contrast(LATTICE, 0.5))
     lattice, field = image.on_sensor(LATTICE, flow_of(TURN))
     before = replace(fitted(), flow=LatticeFlow(lattice, field, 0, NS))
     found = tremor.add_to(before, events(np.radians([0.0, 20.0, 0.0])), flow_of(TURN))

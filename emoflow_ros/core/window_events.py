@@ -1,0 +1,144 @@
+"""Events of one window as the fit takes them: weighed, and sorted by the cells of a lattice."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+
+PARTS = 4  # parts of the window whose images are compared
+
+_DENSITY_CELL = 4  # side of the cells in which density is counted, px
+_DENSITY_TAPS = outwards(gaussian(2.0))  # the density's smoothing, in these cells
+_DENSITY_FLOOR = 0.1  # share of the mean density that is added: lone events stay weak
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+
+
+class CellEvents(NamedTuple):
+    """A window's events sorted by the lattice's cell, and by time within each cell.
+
+    All events of a cell have the same nodes. So what depends on the nodes stays in registers while
+    a kernel goes through a cell, and the compiler makes vector instructions of such loops.
+
+    Attributes:
+        x, y: (N,) px.
+        right, down: (N,) place within the cell, from 0 at its left and upper side to 1.
+        s: (N,) time in [0, 1] over the window.
+        weights: (N,).
+        part: (N,) part of the window, 0 to PARTS - 1.
+        begin: (cells + 1,) where each cell's events begin; the cells of a column follow each other.
+    """
+
+    x: F32
+    y: F32
+    right: F32
+    down: F32
+    s: F32
+    weights: F32
+    part: I32
+    begin: I32
+
+    @classmethod
+    def of(cls, x: F32, y: F32, s: F32, weights: F32, lattice: Lattice, parts: int) -> "CellEvents":
+        """Sort events in the order of time, (N,) each; the parts have equal numbers of them."""
+        count = len(x)
+        columns = (np.empty(count, np.float32) for _ in range(6))
+        cells = (lattice.columns - 1) * (lattice.rows - 1)
+        result = cls(*columns, np.empty(count, np.int32), np.zeros(cells + 1, np.int32))
+        _sort(x, y, s, weights, lattice.per_px, lattice.rows, cells, parts, result)
+        return result
+
+
+@dataclass(frozen=True)
+class WindowEvents:
+    """Events of one window, in the order of time.
+
+    Attributes:
+        x, y: (N,) px.
+        s: (N,) time in [0, 1] over the window.
+        weights: (N,) polarity (+-1) over the square root of the density around.
+    """
+
+    x: F32
+    y: F32
+    s: F32
+    weights: F32
+    _sorted: dict[Lattice, CellEvents] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @classmethod
+    def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
+        """Weigh events by their polarity and density."""
+        column = x.astype(np.intp) // _DENSITY_CELL
+        row = y.astype(np.intp) // _DENSITY_CELL
+        columns, rows = int(column.max()) + 1, int(row.max()) + 1
+        cell = row * columns + column
+        count = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
+        both = np.stack([count, np.ones_like(count)]).astype(np.float32)
+        smooth(both, _DENSITY_TAPS)
+        density, support = both
+        density = density / support + np.float32(_DENSITY_FLOOR * count.mean())
+        size = _DENSITY_CELL / np.sqrt(density.ravel()[cell])
+        return cls(x, y, s, np.where(on, size, -size).astype(np.float32))
+
+    def every(self, step: int) -> "WindowEvents":
+        """Thin out to each step-th event; the weights make up for it."""
+        x, y, s, weights = (
+            np.ascontiguousarray(c[::step]) for c in (self.x, self.y, self.s, self.weights)
+        )
+        return WindowEvents(x, y, s, weights * np.float32(np.sqrt(step)))
+
+    def between(self, begin: float, end: float) -> "WindowEvents":
+        """Take the events of a part of the window, times in [0, 1]."""
+        return self.at((self.s >= begin) & (self.s <= end))
+
+    def at(self, chosen: NDArray[np.bool_]) -> "WindowEvents":
+        """Take the events of a mask (N,)."""
+        return WindowEvents(*(c[chosen] for c in (self.x, self.y, self.s, self.weights)))
+
+    def on(self, lattice: Lattice) -> CellEvents:
+        """Sort them by the cells of a lattice, unless that was done before."""
+        found = self._sorted.get(lattice)
+        if found is None:
+            found = CellEvents.of(self.x, self.y, self.s, self.weights, lattice, PARTS)
+            self._sorted[lattice] = found
+        return found
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+@numba.njit(cache=True, nogil=True)
+def _sort(
+    x: F32, y: F32, s: F32, weights: F32, per_px: F32, rows: int, cells: int, parts: int,
+    out: CellEvents,
+) -> None:  # fmt: skip
+    """Sort events by counting; see `CellEvents.of`."""
+    count, down = len(x), np.int32(rows - 1)
+    cell = np.empty(count, np.int32)
+    right = np.int32(cells // down)
+    for k in range(count):
+        c = min(np.int32(x[k] * per_px[0]), right - np.int32(1))
+        r = min(np.int32(y[k] * per_px[1]), down - np.int32(1))
+        cell[k] = c * down + r
+        out.begin[cell[k] + 1] += 1
+    for i in range(cells):
+        out.begin[i + 1] += out.begin[i]
+    following = out.begin[:-1].copy()
+    for part in range(parts):
+        for k in range(part * count // parts, (part + 1) * count // parts):
+            i = cell[k]
+            at = following[i]
+            following[i] = at + 1
+            c = i // down
+            out.x[at], out.y[at], out.s[at], out.weights[at] = x[k], y[k], s[k], weights[k]
+            out.right[at] = x[k] * per_px[0] - np.float32(c)
+            out.down[at] = y[k] * per_px[1] - np.float32(i - c * down)
+            out.part[at] = part
