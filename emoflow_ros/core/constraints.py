@@ -13,42 +13,40 @@ F64 = NDArray[np.float64]
 
 _LEAST_FLOW_PX = 0.3  # flow, px per window, that cannot be told from zero
 
-_compiled = numba.njit(cache=True, nogil=True)
+# Sums may be taken in any order, so that they become vector instructions.
+_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
 @_compiled
 def across_lines(
-    flow: F64, a: F64, b: F64, basis: F64, w: F64, v: F64, soft: float,
-    r: F64, by_flow: F64, by_motion: F64,
+    flow: F64, a: F64, b: F64, w: F64, v: F64, soft: float, r: F64, by_flow: F64, by_motion: F64,
 ) -> None:  # fmt: skip
     """Evaluate and linearise r = n . (u - b w), n the unit normal to the line.
 
     Args:
         flow: (nodes, times, 2).
         a, b: (nodes, 2, 3) px per window.
-        basis: (times, points) of the spline.
-        w, v: (points, 3) its control points.
+        w, v: (times, 3) the motion.
         soft: px per window, keeps the line's norm from being zero.
         r: (nodes, times), written.
         by_flow: (nodes, times, 2), written: n.
-        by_motion: (nodes, times, 6 points + 1), written: by w's points, v's points, speed.
+        by_motion: (nodes, times, 7), written: by w and v at the residual's time, and the speed.
     """
-    turns, headings = basis @ w, basis @ v
     for n in range(flow.shape[0]):
         for t in range(flow.shape[1]):
-            ux, uy, lx, ly, norm = _split(flow[n, t], a[n], b[n], turns[t], headings[t], soft)
+            ux, uy, lx, ly, norm = _split(flow[n, t], a[n], b[n], w[t], v[t], soft)
             nx, ny = -ly / norm, lx / norm
             r[n, t] = nx * ux + ny * uy
             by_flow[n, t, 0], by_flow[n, t, 1] = nx, ny
             by_lx = (uy - r[n, t] * lx / norm) / norm
             by_ly = (-ux - r[n, t] * ly / norm) / norm
-            _chain(nx, ny, by_lx, by_ly, a[n], b[n], basis[t], by_motion[n, t])
+            _chain(nx, ny, by_lx, by_ly, a[n], b[n], by_motion[n, t])
             by_motion[n, t, -1] = 0.0
 
 
 @_compiled
 def along_lines(
-    flow: F64, a: F64, b: F64, basis: F64, w: F64, v: F64, soft: float, speed: float,
+    flow: F64, a: F64, b: F64, w: F64, v: F64, soft: float, speed: float,
     inverse_depth: F64, r: F64, by_flow: F64, by_motion: F64,
 ) -> None:  # fmt: skip
     """Evaluate and linearise r = l / |l| . (u - b w) - speed |l| / Z, with a known depth Z.
@@ -56,13 +54,12 @@ def along_lines(
     Args:
         speed: distance travelled, over the one that the depths are measured by.
         inverse_depth: (nodes,) 1 / Z.
-        flow, a, b, basis, w, v, soft: as in `across_lines`.
+        flow, a, b, w, v, soft: as in `across_lines`.
         r, by_flow, by_motion: likewise, written; by_flow is l / |l|.
     """
-    turns, headings = basis @ w, basis @ v
     for n in range(flow.shape[0]):
         for t in range(flow.shape[1]):
-            ux, uy, lx, ly, norm = _split(flow[n, t], a[n], b[n], turns[t], headings[t], soft)
+            ux, uy, lx, ly, norm = _split(flow[n, t], a[n], b[n], w[t], v[t], soft)
             ex, ey = lx / norm, ly / norm
             length = ex * ux + ey * uy
             r[n, t] = length - speed * inverse_depth[n] * norm
@@ -70,7 +67,7 @@ def along_lines(
             stretch = speed * inverse_depth[n]
             by_lx = (ux - length * ex) / norm - stretch * ex
             by_ly = (uy - length * ey) / norm - stretch * ey
-            _chain(ex, ey, by_lx, by_ly, a[n], b[n], basis[t], by_motion[n, t])
+            _chain(ex, ey, by_lx, by_ly, a[n], b[n], by_motion[n, t])
             by_motion[n, t, -1] = -inverse_depth[n] * norm
 
 
@@ -89,17 +86,11 @@ def _split(
 
 
 @_compiled
-def _chain(
-    by_x: float, by_y: float, by_lx: float, by_ly: float, a: F64, b: F64, basis: F64, out: F64
-) -> None:
-    """Chain derivatives by flow and line to those by the control points of w and v."""
-    points = len(basis)
+def _chain(by_x: float, by_y: float, by_lx: float, by_ly: float, a: F64, b: F64, out: F64) -> None:
+    """Chain derivatives by flow and line to those by w and v."""
     for j in range(3):
-        by_w = -(by_x * b[0, j] + by_y * b[1, j])
-        by_v = by_lx * a[0, j] + by_ly * a[1, j]
-        for k in range(points):
-            out[3 * k + j] = basis[k] * by_w
-            out[3 * (points + k) + j] = basis[k] * by_v
+        out[j] = -(by_x * b[0, j] + by_y * b[1, j])
+        out[3 + j] = by_lx * a[0, j] + by_ly * a[1, j]
 
 
 @_compiled
@@ -136,44 +127,41 @@ def best_rotations(
         residual, size: (M,) costs, written.
     """
     nodes = len(flow)
-    across, along = np.empty((nodes, 3)), np.empty((nodes, 3))
     side, length = np.empty(nodes), np.empty(nodes)  # the flow across and along the lines
     of_side, of_length = np.empty(nodes), np.empty(nodes)  # the evidence on both
+    across, along = np.empty((3, nodes)), np.empty((3, nodes))  # of the rotation
     weight, squared = np.empty(nodes), np.empty(nodes)
     for m in range(len(line)):
         for n in range(nodes):
             lx, ly = line[m, n, 0], line[m, n, 1]
             squared[n] = lx * lx + ly * ly + soft * soft
-            x, y = lx / np.sqrt(squared[n]), ly / np.sqrt(squared[n])
+            scale = 1 / np.sqrt(squared[n])
+            x, y = lx * scale, ly * scale
             side[n] = x * flow[n, 1] - y * flow[n, 0]
             length[n] = x * flow[n, 0] + y * flow[n, 1]
             of_side[n] = _square(-y, x, evidence[n])
             of_length[n] = _square(x, y, evidence[n])
             weight[n] = 1.0
             for j in range(3):
-                across[n, j] = x * b[n, 1, j] - y * b[n, 0, j]
-                along[n, j] = x * b[n, 0, j] + y * b[n, 1, j]
+                across[j, n] = x * b[n, 1, j] - y * b[n, 0, j]
+                along[j, n] = x * b[n, 0, j] + y * b[n, 1, j]
         share, scale, turning = 0.0, 1.0, 0.0  # the first solution does not know any size
         for _ in range(reweightings):
             matrix, vector = information.copy(), information @ known
-            for n in range(nodes):
-                first = weight[n] * of_side[n]
-                second = share * weight[n] * of_length[n] / (1 + of_length[n] * scale * squared[n])
-                for i in range(3):
-                    vector[i] += first * across[n, i] * side[n] + second * along[n, i] * length[n]
-                    for j in range(3):
-                        matrix[i, j] += first * across[n, i] * across[n, j]
-                        matrix[i, j] += second * along[n, i] * along[n, j]
+            _add_squares(weight * of_side, across, side, matrix, vector)
+            if share > 0:
+                of_size = share * weight * of_length / (1 + of_length * scale * squared)
+                _add_squares(of_size, along, length, matrix, vector)
             for i in range(3):
                 matrix[i, i] += turning
-            w[m] = np.linalg.solve(_regular(matrix), vector)
+            w[m] = _solve(_regular(matrix), vector)
+            w0, w1, w2 = w[m, 0], w[m, 1], w[m, 2]
             moved, reach = 0.0, 1e-9
             for n in range(nodes):
-                r, q = side[n], length[n]
-                for j in range(3):
-                    r -= across[n, j] * w[m, j]
-                    q -= along[n, j] * w[m, j]
-                weight[n] = 1 / (1 + (r / inlier) ** 2) ** 2
+                r = side[n] - across[0, n] * w0 - across[1, n] * w1 - across[2, n] * w2
+                q = length[n] - along[0, n] * w0 - along[1, n] * w1 - along[2, n] * w2
+                inverse = 1 / (1 + (r / inlier) ** 2)
+                weight[n] = inverse * inverse
                 moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX**2)
                 reach += weight[n] * of_length[n] * squared[n]
             share, scale = depths, moved / reach
@@ -182,17 +170,51 @@ def best_rotations(
         for n in range(nodes):
             r, q = side[n], length[n]
             for j in range(3):
-                r -= across[n, j] * w[m, j]
-                q -= along[n, j] * w[m, j]
+                r -= across[j, n] * w[m, j]
+                q -= along[j, n] * w[m, j]
             beside = of_side[n] * r * r / (1 + (r / inlier) ** 2)
             lx, ly = line[m, n, 0] / np.sqrt(squared[n]), line[m, n, 1] / np.sqrt(squared[n])
             whole = _robust(lx * q - ly * r, ly * q + lx * r, evidence[n], inlier)
             ahead += beside if q > 0 else whole
             behind += whole if q > 0 else beside
-            excess = of_length[n] * scale * squared[n]
-            sizes += weight[n] * (np.log(1 + excess) + of_length[n] * q * q / (1 + excess))
+            if depths > 0:
+                excess = of_length[n] * scale * squared[n]
+                sizes += weight[n] * (np.log(1 + excess) + of_length[n] * q * q / (1 + excess))
         residual[m] = min(ahead, behind) + _surprise(w[m] - known, information)
         size[m] = depths * sizes + turns * size_of_turn(w[m], px_per_rad)
+
+
+@_compiled
+def _add_squares(weight: F64, rows: F64, values: F64, matrix: F64, vector: F64) -> None:
+    """Add weighted squares of values (nodes,) - w . rows (3, nodes) to normal equations of w."""
+    a, b, c = rows[0], rows[1], rows[2]
+    aa = ab = ac = bb = bc = cc = x = y = z = 0.0
+    for n in range(len(weight)):
+        wa, wb, wc = weight[n] * a[n], weight[n] * b[n], weight[n] * c[n]
+        aa, ab, ac = aa + wa * a[n], ab + wa * b[n], ac + wa * c[n]
+        bb, bc, cc = bb + wb * b[n], bc + wb * c[n], cc + wc * c[n]
+        x, y, z = x + wa * values[n], y + wb * values[n], z + wc * values[n]
+    for i, row in enumerate(((aa, ab, ac), (ab, bb, bc), (ac, bc, cc))):
+        for j in range(3):
+            matrix[i, j] += row[j]
+    vector[0] += x
+    vector[1] += y
+    vector[2] += z
+
+
+@_compiled
+def _solve(matrix: F64, vector: F64) -> F64:
+    """Solve a symmetric positive definite system (3, 3), by its Cholesky factor."""
+    a = np.sqrt(matrix[0, 0])
+    b, c = matrix[1, 0] / a, matrix[2, 0] / a
+    d = np.sqrt(matrix[1, 1] - b * b)
+    e = (matrix[2, 1] - b * c) / d
+    f = np.sqrt(matrix[2, 2] - c * c - e * e)
+    x = vector[0] / a
+    y = (vector[1] - b * x) / d
+    z = (vector[2] - c * x - e * y) / f / f
+    y = (y - e * z) / d
+    return np.array([(x - b * y - c * z) / a, y, z])
 
 
 @_compiled

@@ -32,8 +32,12 @@ _UNKNOWN: Rotation = (np.zeros(3), np.zeros((3, 3)))
 
 MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
 
-# Derivatives by a constant (w, v) from those by all control points, (24, 6).
-_CONSTANT = np.kron(np.eye(2), np.tile(np.eye(3), (CONTROL_POINTS, 1)))
+# Derivatives (13, 25) of w and v at the window's start, at its end, and of the speed
+BY_POINTS = np.zeros((13, MOTION_UNKNOWNS))
+BY_POINTS[:12, :24] = np.concatenate(
+    [np.kron(np.eye(2), np.kron(basis(s), np.eye(3))) for s in (0.0, 1.0)]
+)
+BY_POINTS[12, 24] = 1.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class Residuals:
     Attributes:
         r: (nodes, times) px per window.
         by_flow: (nodes, times, 2) its derivative by the node's flow, a unit vector.
-        by_motion: (nodes, times, 25) its derivative by the motion's unknowns.
+        by_motion: (nodes, times, 7) its derivative by w and v at its time, and by the speed.
     """
 
     r: Array
@@ -53,8 +57,7 @@ class Residuals:
     @property
     def constant_motion(self) -> Array:
         """Derivatives (nodes, 6) at the first time by a motion (w, v) that does not change."""
-        rows: Array = self.by_motion[:, 0, :-1] @ _CONSTANT
-        return rows
+        return self.by_motion[:, 0, :-1]
 
     @classmethod
     def empty(cls, nodes: int, times: int) -> "Residuals":
@@ -62,7 +65,7 @@ class Residuals:
         return cls(
             np.empty((nodes, times)),
             np.empty((nodes, times, 2)),
-            np.empty((nodes, times, MOTION_UNKNOWNS)),
+            np.empty((nodes, times, 7)),
         )
 
 
@@ -138,7 +141,7 @@ class NodeEpipolar:
         """
         residuals = Residuals.empty(*flow.shape[:2])
         constraints.across_lines(
-            flow, self.a, self.b, self._basis, motion.w, motion.v, self.soft,
+            flow, self.a, self.b, self._basis @ motion.w, self._basis @ motion.v, self.soft,
             residuals.r, residuals.by_flow, residuals.by_motion,
         )  # fmt: skip
         return residuals
@@ -152,19 +155,14 @@ class NodeEpipolar:
         """
         residuals = Residuals.empty(*flow.shape[:2])
         constraints.along_lines(
-            flow, self.a, self.b, self._basis, motion.w, motion.v, self.soft, motion.speed,
-            inverse_depth, residuals.r, residuals.by_flow, residuals.by_motion,
+            flow, self.a, self.b, self._basis @ motion.w, self._basis @ motion.v, self.soft,
+            motion.speed, inverse_depth, residuals.r, residuals.by_flow, residuals.by_motion,
         )  # fmt: skip
         return residuals
 
     def rotational_flow(self, motion: Motion) -> Array:
         """Flow of the motion's rotation, (nodes, times, 2) px per window."""
         return np.einsum("nij,tj->nti", self.b, self._basis @ motion.w)
-
-    def rotational_jacobian(self) -> Array:
-        """Derivative of `rotational_flow` by w's control points, (nodes, times, 2, 12)."""
-        jacobian = np.einsum("tk,nij->ntikj", self._basis, self.b)
-        return jacobian.reshape(*jacobian.shape[:3], -1)
 
     def search(
         self,

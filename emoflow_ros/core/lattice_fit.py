@@ -10,6 +10,7 @@ from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, KnownRotation, S
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis
 from emoflow_ros.core.contrast import Contrast, ContrastFactory
 from emoflow_ros.core.egomotion import (
+    BY_POINTS,
     MOTION_UNKNOWNS,
     Motion,
     NodeEpipolar,
@@ -135,7 +136,7 @@ class LatticeFit:
         self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.step_px = 0.0
-        self._equations = NormalEquations(lattice, MOTION_UNKNOWNS)
+        self._equations = NormalEquations(lattice, len(BY_POINTS))
         second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
         first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
         roughness = second.T @ second + 0.1 * first.T @ first
@@ -191,20 +192,20 @@ class LatticeFit:
         weight = stiffness * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
         half = 3 * CONTROL_POINTS
-        by_w = -epipolar.rotational_jacobian()  # (nodes, times, 2, 12)
         for d in range(2):
             part = Residuals.empty(*weight.shape)
             part.r[:] = residual[..., d]
             part.by_flow[:] = np.eye(2)[d]
-            part.by_motion[..., :half], part.by_motion[..., half:] = by_w[:, :, d], 0.0
+            part.by_motion[..., :3], part.by_motion[..., 3:] = -epipolar.b[:, None, d], 0.0
             equations.add_rows(part.by_flow, part.by_motion, weight, part.r)
+        corner, corner_vector = equations.corner_of(BY_POINTS)
         roughness = self._roughness * self._rotation_stiffness
-        equations.corner[:half, :half] += roughness
-        equations.corner_vector[:half] -= roughness @ motion.w.ravel()
+        corner[:half, :half] += roughness
+        corner_vector[:half] -= roughness @ motion.w.ravel()
         if self.known is not None:
-            self.known.add_to(motion.w, equations.corner, equations.corner_vector)
-        equations.corner[half:, half:] = np.eye(MOTION_UNKNOWNS - half)  # v is not asked for
-        step, change = equations.solve_bordered()
+            self.known.add_to(motion.w, corner, corner_vector)
+        corner[half:, half:] = np.eye(MOTION_UNKNOWNS - half)  # v is not asked for
+        step, change = equations.solve_bordered(corner, corner_vector, BY_POINTS)
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -220,8 +221,9 @@ class LatticeFit:
             terms.append(self._structure_term(motion, self.structure))
         for residuals, weight in terms:
             self._equations.add_rows(residuals.by_flow, residuals.by_motion, weight, residuals.r)
-        self._add_motion_priors(motion, prior)
-        step, change = self._equations.solve_bordered()
+        corner, corner_vector = self._equations.corner_of(BY_POINTS)
+        self._add_motion_priors(motion, prior, corner, corner_vector)
+        step, change = self._equations.solve_bordered(corner, corner_vector, BY_POINTS)
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -262,9 +264,14 @@ class LatticeFit:
     def _rotation_stiffness(self) -> float:
         return self.config.spline_roughness * self.epipolar.px_per_rad**2
 
-    def _add_motion_priors(self, motion: Motion, prior: MotionPrior | None) -> None:
-        """Add the spline's smoothness, v's scale and the belief of earlier windows."""
-        corner, corner_vector = self._equations.corner, self._equations.corner_vector
+    def _add_motion_priors(
+        self, motion: Motion, prior: MotionPrior | None, corner: Array, corner_vector: Array
+    ) -> None:
+        """Add the spline's smoothness, v's scale and the belief of earlier windows.
+
+        They are added to the second derivatives (25, 25) by the motion's unknowns and to the
+        negative gradient (25,).
+        """
         points = 3 * CONTROL_POINTS
         of_w, of_v = slice(0, points), slice(points, 2 * points)
         # v has no unit of its own: its stiffness goes by the evidence at hand.
@@ -282,8 +289,9 @@ class LatticeFit:
         corner[of_v, of_v] += evidence * np.outer(mean, mean)
         if prior is not None:
             present = _TO_MIDDLE[:, :-1] @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
-            corner += _TO_MIDDLE.T @ prior.information @ _TO_MIDDLE
-            corner_vector -= _TO_MIDDLE.T @ prior.information @ (present - prior.mean)
+            known = _TO_MIDDLE.T @ prior.information
+            corner += known @ _TO_MIDDLE
+            corner_vector -= known @ (present - prior.mean)
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
         diagonal = np.diag_indices_from(corner)

@@ -6,7 +6,7 @@ Matrices are in lower band storage: band[j, i - j] is entry (i, j).
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError
 from emoflow_ros.core.cells import Cells
@@ -77,7 +77,8 @@ class NormalEquations:
 
         Args:
             normal: (nodes, times, 2) derivative of each residual by its node's flow.
-            by_further: (nodes, times, m) derivative by the further unknowns.
+            by_further: (nodes, times, k + 1) derivative by the k further unknowns of its time,
+                and by the one that all times share.
             weight, r: (nodes, times).
         """
         add_rows(
@@ -99,11 +100,25 @@ class NormalEquations:
             raise NotPositiveDefiniteError
         return step[:, 0]
 
-    def solve_bordered(self) -> tuple[Array, Array]:
-        """Solve for the field and the further unknowns at once, by the Schur complement.
+    def corner_of(self, by_other: Array) -> tuple[Array, Array]:
+        """Corner (p, p) and its vector (p,) for others that the further unknowns depend on.
+
+        Args:
+            by_other: (m, p) derivatives of the further unknowns.
+        """
+        return by_other.T @ self.corner @ by_other, by_other.T @ self.corner_vector
+
+    def solve_bordered(
+        self, corner: Array, corner_vector: Array, by_other: Array
+    ) -> tuple[Array, Array]:
+        """Solve at once, by the Schur complement, for the field and others beside it.
+
+        Args:
+            corner, corner_vector: as `corner_of` gives them, and what else is known of the others.
+            by_other: (m, p) derivatives of the further unknowns by these.
 
         Returns:
-            The steps (n,) and (m,).
+            The steps (n,) and (p,).
 
         Raises:
             NotPositiveDefiniteError: there is no minimum.
@@ -113,16 +128,14 @@ class NormalEquations:
         both[:, 0], both[:, 1:] = self.vector, self.border
         factor.forward(both)
         of_field, across = both[:, 0], both[:, 1:]
-        marginal = self.corner - across.T @ across
-        try:
-            further = cho_solve(cho_factor(marginal), self.corner_vector - across.T @ of_field)
-        except (np.linalg.LinAlgError, ValueError) as error:
-            raise NotPositiveDefiniteError from error
-        left = (of_field - across @ further)[:, None]
+        products = across.T @ both
+        marginal = corner - by_other.T @ products[:, 1:] @ by_other
+        _, others, info = dposv(marginal, corner_vector - by_other.T @ products[:, 0])
+        left = (of_field - across @ (by_other @ others))[:, None]
         factor.backward(left)
-        if not np.isfinite(left).all():
+        if info != 0 or not np.isfinite(left).all():
             raise NotPositiveDefiniteError
-        return left[:, 0], further
+        return left[:, 0], others
 
 
 @_compiled
@@ -196,15 +209,20 @@ def add_rows(
 
     Args:
         normal: (nodes, times, 2) derivative of each residual by its node's flow.
-        by_further: (nodes, times, m) derivative by unknowns beside the flow.
+        by_further: (nodes, times, k + 1) derivative by unknowns beside the flow: k of its time, and
+            the last one.
         weight, r: (nodes, times).
         vector, band: as in `add_stencil`.
         border: (n, m) second derivatives across.
         corner, corner_vector: (m, m) and (m,), of the other unknowns.
     """
     nodes, times, further = by_further.shape
-    for n in range(nodes):
-        for q in range(times):
+    last = len(corner_vector) - 1
+    at = np.empty(further, np.int64)
+    for q in range(times):
+        for a in range(further):
+            at[a] = q * (further - 1) + a if a < further - 1 else last
+        for n in range(nodes):
             if weight[n, q] == 0.0:  # most are, of terms that hold for few nodes
                 continue
             i = 2 * (n * times + q)
@@ -217,8 +235,8 @@ def add_rows(
             row = by_further[n, q]
             for a in range(further):
                 weighted = weight[n, q] * row[a]
-                border[i, a] += weighted * normal[n, q, 0]
-                border[i + 1, a] += weighted * normal[n, q, 1]
-                corner_vector[a] -= weighted * r[n, q]
+                border[i, at[a]] += weighted * normal[n, q, 0]
+                border[i + 1, at[a]] += weighted * normal[n, q, 1]
+                corner_vector[at[a]] -= weighted * r[n, q]
                 for b in range(further):
-                    corner[a, b] += weighted * row[b]
+                    corner[at[a], at[b]] += weighted * row[b]

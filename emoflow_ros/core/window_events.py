@@ -48,9 +48,10 @@ class CellEvents(NamedTuple):
     def of(cls, x: F32, y: F32, s: F32, weights: F32, lattice: Lattice, parts: int) -> "CellEvents":
         """Sort events in the order of time, (N,) each; the parts have equal numbers of them."""
         count = len(x)
-        columns = (np.empty(count, np.float32) for _ in range(6))
         cells = (lattice.columns - 1) * (lattice.rows - 1)
-        result = cls(*columns, np.empty(count, np.int32), np.zeros(cells + 1, np.int32))
+        begin = np.zeros(cells + 1, np.int32)
+        a, b, c, d, e, f = np.empty((6, count), np.float32)
+        result = cls(a, b, c, d, e, f, np.empty(count, np.int32), begin)
         _sort(x, y, s, weights, lattice.per_px, lattice.rows, cells, parts, result)
         return result
 

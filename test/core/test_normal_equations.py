@@ -6,7 +6,8 @@ from emoflow_ros.core.normal_equations import NormalEquations, NotPositiveDefini
 
 LATTICE = Lattice(60, 50, 4, 3, 2)
 N = LATTICE.unknowns
-BORDER = 6
+BORDER = 7  # three at each of two times, and one more
+OTHERS = 9
 
 
 def dense(band):
@@ -40,6 +41,11 @@ def add_border(equations, rng):
     equations.corner_vector[:] = rng.normal(size=BORDER)
 
 
+def solve_bordered(equations):
+    """The others are the further unknowns themselves."""
+    return equations.solve_bordered(*equations.corner_of(np.eye(BORDER)), np.eye(BORDER))
+
+
 def test_solve_is_the_dense_solution_and_keeps_the_equations(equations):
     band, vector = equations.band.copy(), equations.vector.copy()
     expected = np.linalg.solve(dense(band), vector)
@@ -50,20 +56,24 @@ def test_solve_is_the_dense_solution_and_keeps_the_equations(equations):
 
 def test_bordered_solution_is_that_of_the_full_system(equations):
     add_border(equations, np.random.default_rng(2))
-    full = np.block(
-        [[dense(equations.band), equations.border], [equations.border.T, equations.corner]]
-    )
-    expected = np.linalg.solve(full, np.concatenate([equations.vector, equations.corner_vector]))
-    step, further = equations.solve_bordered()
+    by_other = np.random.default_rng(3).normal(size=(BORDER, OTHERS))
+    corner, corner_vector = equations.corner_of(by_other)
+    np.testing.assert_allclose(corner, by_other.T @ equations.corner @ by_other)
+    np.testing.assert_allclose(corner_vector, by_other.T @ equations.corner_vector)
+    corner += 1e4 * np.eye(OTHERS)  # known from elsewhere
+    across = equations.border @ by_other
+    full = np.block([[dense(equations.band), across], [across.T, corner]])
+    expected = np.linalg.solve(full, np.concatenate([equations.vector, corner_vector]))
+    step, others = equations.solve_bordered(corner, corner_vector, by_other)
     np.testing.assert_allclose(step, expected[:N], rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(further, expected[N:], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(others, expected[N:], rtol=1e-8, atol=1e-10)
 
 
 def test_a_border_of_nothing_changes_nothing(equations):
     expected = equations.solve()
     equations.corner[:] = 2 * np.eye(BORDER)
     equations.corner_vector[:] = np.arange(BORDER)
-    step, further = equations.solve_bordered()
+    step, further = solve_bordered(equations)
     np.testing.assert_allclose(step, expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(further, np.arange(BORDER) / 2)
 
@@ -73,7 +83,7 @@ def test_rows_are_weighted_squares_of_residuals(equations):
     rng = np.random.default_rng(3)
     nodes, times = LATTICE.columns * LATTICE.rows, LATTICE.times
     normal, weight = rng.normal(size=(nodes, times, 2)), rng.random((nodes, times))
-    by_further, r = rng.normal(size=(nodes, times, BORDER)), rng.normal(size=(nodes, times))
+    by_further, r = rng.normal(size=(nodes, times, 4)), rng.normal(size=(nodes, times))
     matrix, vector = dense(equations.band), equations.vector.copy()
     add_border(equations, rng)
     border, corner = equations.border.copy(), equations.corner.copy()
@@ -82,7 +92,13 @@ def test_rows_are_weighted_squares_of_residuals(equations):
     jacobian = np.zeros((nodes * times, N))
     for k, row in enumerate(normal.reshape(-1, 2)):
         jacobian[k, 2 * k : 2 * k + 2] = row
-    further, residual = by_further.reshape(-1, BORDER), r.ravel()
+    further, residual = np.zeros((nodes, times, BORDER)), r.ravel()
+    for q in range(times):
+        further[:, q, 3 * q : 3 * q + 3], further[:, q, -1] = (
+            by_further[:, q, :3],
+            by_further[:, q, 3],
+        )
+    further = further.reshape(-1, BORDER)
     weighted = weight.ravel()[:, None] * jacobian
     on_further = weight.ravel()[:, None] * further
     for found, expected in (
@@ -109,13 +125,13 @@ def test_no_minimum_is_an_error(equations):
         equations.solve()
     add_border(equations, np.random.default_rng(5))
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered()
+        solve_bordered(equations)
 
 
 def test_a_singular_corner_is_an_error(equations):
     equations.corner_vector[:] = 1.0
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered()
+        solve_bordered(equations)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -125,10 +141,10 @@ def test_values_that_are_not_finite_are_an_error(equations, bad):
         equations.solve()
     add_border(equations, np.random.default_rng(6))
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered()
+        solve_bordered(equations)
 
 
 def test_a_saddle_is_no_minimum(equations):
     equations.corner[:] = -np.eye(BORDER)
     with pytest.raises(NotPositiveDefiniteError):
-        equations.solve_bordered()
+        solve_bordered(equations)
