@@ -125,9 +125,7 @@ class Lattice:
 
     def at_time(self, flow: NDArray[np.float32], s: float) -> NDArray[np.float32]:
         """Interpolate a field in time, (columns, rows, 2); constant before 0 and after 1."""
-        at = min(1.0, max(0.0, s)) * (self.times - 1)
-        q = min(int(at), self.times - 2)
-        return flow[:, :, q] + np.float32(at - q) * (flow[:, :, q + 1] - flow[:, :, q])
+        return _at_time(flow, s)
 
     def image(self, still: NDArray[np.float32]) -> NDArray[np.float32]:
         """Interpolate values (columns, rows, 2) at every pixel, (height, width, 2)."""
@@ -143,12 +141,7 @@ class Lattice:
         way is longer than 64 windows).
         """
         steps = min(_MOST_STEPS, max(1, int(np.ceil(abs(end - start) * _SUBSTEPS))))
-        h = (end - start) / steps
-        for k in range(steps):
-            s = start + k * h
-            middle = points + 0.5 * h * self.sample(flow, points, s)
-            points = points + h * self.sample(flow, middle, s + 0.5 * h)
-        return points
+        return _advance(flow, np.asarray(points, np.float64), start, end, steps, self.per_px)
 
 
 @dataclass(frozen=True)
@@ -197,6 +190,28 @@ class LatticeFlow:
     def _pixels(self) -> NDArray[np.float64]:
         grid = np.meshgrid(np.arange(self.lattice.width), np.arange(self.lattice.height))
         return np.stack(grid, axis=-1).reshape(-1, 2).astype(np.float64)
+
+
+@numba.njit(cache=True, nogil=True)
+def _advance(
+    flow: F32, points: NDArray[np.float64], start: float, end: float, steps: int, per_px: F32
+) -> NDArray[np.float64]:
+    """Carry points (N, 2) px along a field by the midpoint method; see `Lattice.advance`."""
+    h = (end - start) / steps
+    for k in range(steps):
+        s = start + k * h
+        middle = points + 0.5 * h * bilinear(_at_time(flow, s), points, per_px)
+        points = points + h * bilinear(_at_time(flow, s + 0.5 * h), middle, per_px)
+    return points
+
+
+@numba.njit(cache=True, nogil=True)
+def _at_time(flow: F32, s: float) -> F32:
+    """Interpolate a field in time; see `Lattice.at_time`."""
+    last = flow.shape[2] - 1
+    at = min(1.0, max(0.0, s)) * last
+    q = min(int(at), last - 1)
+    return flow[:, :, q] + np.float32(at - q) * (flow[:, :, q + 1] - flow[:, :, q])
 
 
 @numba.njit(cache=True, nogil=True)

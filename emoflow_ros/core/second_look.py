@@ -126,10 +126,10 @@ def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> fl
         one, other: (columns, rows, times, 2), px per window; their means over time count.
         events: of the window.
     """
-    few = _some(events)
-    points = np.stack([few.x, few.y], axis=-1).astype(np.float64)
+    every = max(1, len(events) // _EVENTS)
+    points = np.stack([events.x[::every], events.y[::every]], axis=-1).astype(np.float64)
     apart = bilinear((one - other).mean(axis=2), points, lattice.per_px)
-    return float(np.quantile(np.linalg.norm(apart, axis=-1), _SHARE))
+    return float(np.quantile(np.hypot(apart[:, 0], apart[:, 1]), _SHARE))
 
 
 def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) -> F32:

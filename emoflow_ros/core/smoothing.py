@@ -1,4 +1,6 @@
-"""Gaussian smoothing of images, in numba."""
+"""Smoothing of images by binomials, which come near to Gaussians, in numba."""
+
+from math import comb
 
 import numba
 import numpy as np
@@ -6,20 +8,19 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 
-REACH = 6  # px of an image on either side of the middle of a smoothing kernel, at most
+_REACH = 4  # px of an image on either side of the middle of a smoothing kernel, at most
 
 
-def gaussian(sigma: float) -> F32:
-    """Sampled Gaussian with sum 1, to 2.5 sigma on either side."""
-    reach = int(np.ceil(2.5 * sigma))
-    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return (taps / taps.sum()).astype(np.float32)
+def binomial(variance: float) -> F32:
+    """Kernel of the variance given (a multiple of 1 / 2), px^2: binomial coefficients, sum 1."""
+    order = round(4 * variance)
+    return np.array([comb(order, k) for k in range(order + 1)], np.float32) / np.float32(2**order)
 
 
 def outwards(taps: F32) -> F32:
-    """Bring a symmetric kernel of at most 13 taps to the form that `smooth` takes, (REACH + 1,)."""
+    """Bring a symmetric kernel of at most 9 taps to the form that `smooth` takes, (5,)."""
     middle = len(taps) // 2
-    result = np.zeros(REACH + 1, np.float32)
+    result = np.zeros(_REACH + 1, np.float32)
     result[: middle + 1] = taps[middle:]
     return result
 
@@ -30,23 +31,23 @@ def smooth(images: F32, taps: F32) -> None:
 
     Args:
         images: (n, h, w).
-        taps: (REACH + 1,) from the middle outwards: always as many, so that the loops over them
-            are unrolled.
+        taps: (5,) from the middle outwards: always as many, so that the loops over them are
+            unrolled.
     """
     number, h, w = images.shape
-    padded = np.zeros((h + 2 * REACH, w), np.float32)
-    row = np.zeros(w + 2 * REACH, np.float32)
+    padded = np.zeros((h + 2 * _REACH, w), np.float32)
+    row = np.zeros(w + 2 * _REACH, np.float32)
     for n in range(number):
         image = images[n]
-        padded[REACH:-REACH] = image
+        padded[_REACH:-_REACH] = image
         for i in range(h):
             for j in range(w):
-                total = taps[0] * padded[i + REACH, j]
-                for k in range(1, REACH + 1):
-                    total += taps[k] * (padded[i + REACH - k, j] + padded[i + REACH + k, j])
-                row[j + REACH] = total
+                total = taps[0] * padded[i + _REACH, j]
+                for k in range(1, _REACH + 1):
+                    total += taps[k] * (padded[i + _REACH - k, j] + padded[i + _REACH + k, j])
+                row[j + _REACH] = total
             for j in range(w):
-                total = taps[0] * row[j + REACH]
-                for k in range(1, REACH + 1):
-                    total += taps[k] * (row[j + REACH - k] + row[j + REACH + k])
+                total = taps[0] * row[j + _REACH]
+                for k in range(1, _REACH + 1):
+                    total += taps[k] * (row[j + _REACH - k] + row[j + _REACH + k])
                 image[i, j] = total

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.smoothing import binomial, outwards, smooth
 
 PARTS = 4  # parts of the window whose images are compared
 
 _DENSITY_CELL = 4  # side of the cells in which density is counted, px
-_DENSITY_TAPS = outwards(gaussian(2.0))  # the density's smoothing, in these cells
+_DENSITY_TAPS = outwards(binomial(2.0))  # half of the density's smoothing, in these cells
 _DENSITY_FLOOR = 0.1  # share of the mean density that is added: lone events stay weak
 
 F32 = NDArray[np.float32]
@@ -77,17 +77,7 @@ class WindowEvents:
     @classmethod
     def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
         """Weigh events by their polarity and density."""
-        column = x.astype(np.intp) // _DENSITY_CELL
-        row = y.astype(np.intp) // _DENSITY_CELL
-        columns, rows = int(column.max()) + 1, int(row.max()) + 1
-        cell = row * columns + column
-        count = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
-        both = np.stack([count, np.ones_like(count)]).astype(np.float32)
-        smooth(both, _DENSITY_TAPS)
-        density, support = both
-        density = density / support + np.float32(_DENSITY_FLOOR * count.mean())
-        size = _DENSITY_CELL / np.sqrt(density.ravel()[cell])
-        return cls(x, y, s, np.where(on, size, -size).astype(np.float32))
+        return cls(x, y, s, _weigh(x, y, on, _DENSITY_TAPS))
 
     def every(self, step: int) -> "WindowEvents":
         """Thin out to each step-th event; the weights make up for it."""
@@ -114,6 +104,28 @@ class WindowEvents:
 
     def __len__(self) -> int:
         return len(self.x)
+
+
+@numba.njit(cache=True, nogil=True)
+def _weigh(x: F32, y: F32, on: NDArray[np.bool_], taps: F32) -> F32:
+    """Weights (N,) of events; see `WindowEvents.prepare`."""
+    side = np.float32(_DENSITY_CELL)
+    columns, rows = int(x.max() / side) + 1, int(y.max() / side) + 1
+    # Number of events around, and share of the surroundings that lies within the image
+    both = np.zeros((2, rows, columns), np.float32)
+    density, support = both[0], both[1]
+    support[:] = 1
+    for k in range(len(x)):
+        density[int(y[k] / side), int(x[k] / side)] += 1
+    floor = np.float32(_DENSITY_FLOOR * len(x) / (rows * columns))
+    for _ in range(2):
+        smooth(both, taps)
+    size = side / np.sqrt(density / support + floor)
+    weights = np.empty(len(x), np.float32)
+    for k in range(len(x)):
+        weight = size[int(y[k] / side), int(x[k] / side)]
+        weights[k] = weight if on[k] else -weight
+    return weights
 
 
 @numba.njit(cache=True, nogil=True)

@@ -9,7 +9,7 @@ from emoflow_ros.core import kernels
 from emoflow_ros.core.contrast import PAIRS, Contrast, best_constant_flow
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.smoothing import binomial, outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 LATTICE = Lattice(120, 90, 5, 4, 2)
@@ -105,7 +105,7 @@ def reference_gradient(events, flow, scale):
         (0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)
     ):  # fmt: skip
         image = image.index_add(0, part * h * w + (i + di) * w + j + dj, weights * share)
-    taps = tensor(gaussian(1.0))
+    taps = tensor(binomial(1.0))
     image = image.reshape(PARTS, 1, h, w)
     # Wide enough that nothing is lost between the first and the second smoothing.
     image = torch.nn.functional.pad(image, (len(taps),) * 4)
@@ -180,7 +180,7 @@ def test_one_event_by_hand():
     events = WindowEvents(*np.float32([[60], [40], [0.5], [3.0]]))
     contrast = Contrast(LATTICE, 1.0)
     value = contrast.sharpen(events, constant(5, 5))
-    squares = (gaussian(1.0).astype(np.float64) ** 2).sum()
+    squares = (binomial(1.0).astype(np.float64) ** 2).sum()
     assert value == pytest.approx(0.5 * 9 * squares**2, rel=1e-5)
     # already at the reference time
     assert contrast.image[40 + kernels.MARGIN, 60 + kernels.MARGIN] == contrast.image.max()
@@ -210,16 +210,23 @@ def test_search_of_a_constant_flow(displacement):
     np.testing.assert_allclose(found, displacement, atol=1.0)
 
 
-def test_gaussian():
-    taps = gaussian(2.0).astype(np.float64)
-    assert taps.sum() == pytest.approx(1, rel=1e-6)
-    np.testing.assert_allclose(taps / taps[5], np.exp(-(np.arange(-5, 6) ** 2) / 8), rtol=1e-5)
+@pytest.mark.parametrize("variance", [1.0, 2.0])
+def test_binomials_have_their_variance_and_come_near_to_gaussians(variance):
+    taps = binomial(variance).astype(np.float64)
+    at = np.arange(len(taps)) - len(taps) // 2
+    assert taps.sum() == 1 and taps @ at**2 == variance
+    gaussian = np.exp(-(at**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
+    np.testing.assert_allclose(taps, gaussian, atol=0.025)
+
+
+def test_binomials_in_turn_add_their_variances():
+    np.testing.assert_array_equal(np.convolve(binomial(1.0), binomial(1.0)), binomial(2.0))
 
 
 @pytest.mark.parametrize("shape", [(41, 57), (2, 2)])
 def test_smooth_is_a_convolution_with_zeros_outside(shape):
     images = np.random.default_rng(1).normal(size=(2, *shape)).astype(np.float32)
-    taps = gaussian(2.0)
+    taps = binomial(2.0)
     expected = images.astype(np.float64)
     for axis in (1, 2):
         expected = convolve1d(expected, taps.astype(np.float64), axis, mode="constant")
@@ -236,7 +243,7 @@ def test_events_of_one_part_do_not_count_among_themselves():
     contrast, still = Contrast(LATTICE, 1.0), constant(0, 0)
     assert contrast.score(together, at) == pytest.approx(contrast.score(apart, at), rel=1e-6)
     assert value_at(contrast, together, still) == pytest.approx(0, abs=1e-6)
-    peak = (gaussian(1.0).astype(np.float64) ** 2).sum() ** 2
+    peak = (binomial(1.0).astype(np.float64) ** 2).sum() ** 2
     assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-5)
 
 
