@@ -42,6 +42,10 @@ class Cells(NamedTuple):
         """Add them to a vector (n,) and a band matrix (n, width) of normal_equations."""
         _add_to(self.gradient, self.curvature, vector, band)
 
+    def add_still_to(self, vector: F64, band: F64) -> None:
+        """Add them for a flow constant over the window: to a vector (n / 2,) and its matrix."""
+        _add_still_to(self.gradient, self.curvature, vector, band)
+
     def node_information(self) -> F64:
         """Curvature by a flow constant over the window, (nodes, 2, 2), neighbours fixed."""
         return _node_information(self.curvature)
@@ -84,6 +88,28 @@ def _add_to(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
                     band[j, d + 1] += h[pair, 1]
                     if b < a:
                         band[j + 1, d - 1] += h[pair, 1]
+
+
+@_compiled
+def _add_still_to(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
+    cells_x, cells_y = gradient.shape[:2]
+    rows = cells_y + 1
+    for c in range(cells_x):
+        for r in range(cells_y):
+            g, h = gradient[c, r], curvature[c, r]
+            for a in range(4):
+                i = 2 * ((c + (a >> 1)) * rows + r + (a & 1))
+                vector[i] += g[0, 2 * a] + g[0, 2 * a + 1]
+                vector[i + 1] += g[1, 2 * a] + g[1, 2 * a + 1]
+                for b in range(a + 1):
+                    j = 2 * ((c + (b >> 1)) * rows + r + (b & 1))
+                    d = i - j
+                    xx, xy, yy = _still(h, 9 * ((a >> 1) + (b >> 1)) + 3 * ((a & 1) + (b & 1)))
+                    band[j, d] += xx
+                    band[j + 1, d] += yy
+                    band[j, d + 1] += xy
+                    if b < a:
+                        band[j + 1, d - 1] += xy
 
 
 @_compiled

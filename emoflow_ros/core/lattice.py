@@ -12,6 +12,7 @@ from scipy.ndimage import map_coordinates
 
 F32 = NDArray[np.float32]
 
+TIMES = 2  # of the nodes of a fit: start and end of the window
 _MOST_NODES = 18
 # Midpoint steps per window of the dense products. Error below 1e-3 px where the flow is linear in
 # time; some tenths of a px in intervals that end beside the kink of a strong tremor.
@@ -35,7 +36,7 @@ class Lattice:
     height: int
     columns: int
     rows: int
-    times: int = 2
+    times: int = TIMES
 
     @classmethod
     def with_spacing(cls, width: int, height: int, spacing_px: float) -> "Lattice":

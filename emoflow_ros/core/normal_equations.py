@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dposv
 
 from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError
 from emoflow_ros.core.cells import Cells
-from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ class NormalEquations:
     """A quadratic model of the cost around a field: step^T H step / 2 - vector^T step.
 
     Args:
-        lattice: of the field.
+        lattice: of the field; of one time where the field does not change within the window.
         further: number m of unknowns beside the field.
 
     Attributes:
@@ -52,7 +52,10 @@ class NormalEquations:
 
     def add(self, cells: Cells) -> None:
         """Add a contrast's derivatives."""
-        cells.add_to(self.vector, self.band)
+        if self.lattice.times == 1:
+            cells.add_still_to(self.vector, self.band)
+        else:
+            cells.add_to(self.vector, self.band)
 
     def add_smoothness(self, flow: NDArray[np.float32], config: LatticeConfig) -> None:
         """Add the prior on a field: smooth in space up to edges, and in time.
@@ -62,12 +65,13 @@ class NormalEquations:
             config: weights of the second differences in space and of the differences in time, and
                 the second difference (px per window) above which it counts as an edge.
         """
-        self.band[:, 0] += _RIDGE
         lattice = self.lattice
+        each = TIMES / lattice.times  # a value that does not change stands for both times
+        self.band[:, 0] += each * _RIDGE
         values = flow.reshape(-1, lattice.times, 2).astype(np.float64)
         for nodes, coefficients in lattice.second_differences:
             add_stencil(
-                values, nodes, coefficients, config.smoothness, config.edge_px,
+                values, nodes, coefficients, each * config.smoothness, config.edge_px,
                 self.vector, self.band,
             )  # fmt: skip
         add_differences_in_time(values, config.smoothness_in_time, self.vector, self.band)

@@ -9,6 +9,7 @@ first part of a window may be (core.motion_windows).
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ class SecondLook:
 
     The epipolar constraint can hold a flow at a maximum of the contrast that the events do not
     support. This fit then comes out elsewhere. Where the events leave no doubt it comes out close
-    to the estimate.
+    to the estimate. Its flow does not change within the window.
 
     Args:
         lattice: of the flow.
@@ -57,7 +58,7 @@ class SecondLook:
     def __init__(
         self, lattice: Lattice, contrasts: Mapping[float, ImageContrast], config: LatticeConfig
     ) -> None:
-        self._equations = NormalEquations(lattice, 0)
+        self._equations = NormalEquations(replace(lattice, times=1), 0)
         self._contrasts = contrasts
         self._config = config
 
@@ -72,13 +73,14 @@ class SecondLook:
             NotPositiveDefiniteError: the events have no best flow.
         """
         equations, flow = self._equations, start
+        still = equations.lattice.shape
         for scale, number, steps in _STEPS:
             few = events.every(max(1, len(events) // number))
             for _ in range(steps):
                 equations.clear()
                 equations.add(self._contrasts[scale].linearise(few, flow))
-                equations.add_smoothness(flow, self._config)
-                flow = (flow + equations.solve().reshape(flow.shape)).astype(np.float32)
+                equations.add_smoothness(flow[:, :, :1], self._config)
+                flow = (flow + equations.solve().reshape(still)).astype(np.float32)
         return flow
 
 
