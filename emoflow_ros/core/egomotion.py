@@ -7,6 +7,7 @@ the norm of the line, so that it has the unit and the noise of the flow itself.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,9 @@ BY_POINTS[:12, :24] = np.concatenate(
     [np.kron(np.eye(2), np.kron(basis(s), np.eye(3))) for s in (0.0, 1.0)]
 )
 BY_POINTS[12, 24] = 1.0
+
+
+_basis_at = lru_cache(basis)  # asked for few times
 
 
 @dataclass(frozen=True)
@@ -88,9 +92,14 @@ class Motion:
         """Build the spline of a constant motion."""
         return cls(np.tile(w, (CONTROL_POINTS, 1)), np.tile(v, (CONTROL_POINTS, 1)), speed)
 
+    @property
+    def unknowns(self) -> Array:
+        """All of them, (25,)."""
+        return np.concatenate([self.w.ravel(), self.v.ravel(), [self.speed]])
+
     def at(self, s: float) -> tuple[Array, Array]:
         """Angular velocity (3,) rad per window and unit direction (3,) at s in [0, 1]."""
-        weights = basis(s)
+        weights = _basis_at(s)
         v = weights @ self.v
         return weights @ self.w, v / np.linalg.norm(v)
 

@@ -34,6 +34,22 @@ _STRUCTURE_INLIER_PX = 1.0
 
 # w and v in the middle of the window from the motion's unknowns, (6, 25).
 _TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
+_POINTS = 3 * CONTROL_POINTS
+_OF_W, _OF_V = slice(0, _POINTS), slice(_POINTS, 2 * _POINTS)
+# Mean of v's control points over their number, for each point, (12, 25)
+_MEAN_V = np.zeros((_POINTS, MOTION_UNKNOWNS))
+_MEAN_V[:, _OF_V] = (
+    np.kron(np.ones((CONTROL_POINTS, CONTROL_POINTS)), np.eye(3)) / CONTROL_POINTS**2
+)
+
+
+def _roughness(points: slice) -> Array:
+    """Stiffness (25, 25) of a spline's control points against a curvature, and a little a slope."""
+    second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
+    first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
+    result = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
+    result[points, points] = np.kron(second.T @ second + 0.1 * first.T @ first, np.eye(3))
+    return result
 
 
 @dataclass(frozen=True)
@@ -137,15 +153,10 @@ class LatticeFit:
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.step_px = 0.0
         self._equations = NormalEquations(lattice, len(BY_POINTS))
-        second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
-        first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
-        roughness = second.T @ second + 0.1 * first.T @ first
-        self._roughness = np.kron(roughness, np.eye(3))
-        self._stillness = np.zeros(
-            (MOTION_UNKNOWNS, MOTION_UNKNOWNS)
-        )  # of a camera that does not turn
-        still = INFORMATION_EXCESS * self._of_no_turn
-        np.fill_diagonal(self._stillness[: 3 * CONTROL_POINTS, : 3 * CONTROL_POINTS], still)
+        self._smooth_turn = self._rotation_stiffness * _roughness(_OF_W)
+        self._smooth_travel = config.spline_roughness * _roughness(_OF_V)
+        self._stillness = np.zeros_like(self._smooth_turn)  # of a camera that does not turn
+        self._stillness[_OF_W, _OF_W] = INFORMATION_EXCESS * self._of_no_turn * np.eye(_POINTS)
 
     @property
     def node_flow(self) -> Array:
@@ -191,7 +202,6 @@ class LatticeFit:
         stiffness = _ROTATION_STIFFNESS * self.config.dec_weight
         weight = stiffness * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
-        half = 3 * CONTROL_POINTS
         for d in range(2):
             part = Residuals.empty(*weight.shape)
             part.r[:] = residual[..., d]
@@ -199,12 +209,11 @@ class LatticeFit:
             part.by_motion[..., :3], part.by_motion[..., 3:] = -epipolar.b[:, None, d], 0.0
             equations.add_rows(part.by_flow, part.by_motion, weight, part.r)
         corner, corner_vector = equations.corner_of(BY_POINTS)
-        roughness = self._roughness * self._rotation_stiffness
-        corner[:half, :half] += roughness
-        corner_vector[:half] -= roughness @ motion.w.ravel()
+        corner += self._smooth_turn
+        corner_vector -= self._smooth_turn @ motion.unknowns
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
-        corner[half:, half:] = np.eye(MOTION_UNKNOWNS - half)  # v is not asked for
+        corner[_POINTS:, _POINTS:] = np.eye(MOTION_UNKNOWNS - _POINTS)  # v is not asked for
         step, change = equations.solve_bordered(corner, corner_vector, BY_POINTS)
         self.motion = motion.moved(change)
         self._move(step)
@@ -272,33 +281,27 @@ class LatticeFit:
         They are added to the second derivatives (25, 25) by the motion's unknowns and to the
         negative gradient (25,).
         """
-        points = 3 * CONTROL_POINTS
-        of_w, of_v = slice(0, points), slice(points, 2 * points)
+        unknowns = motion.unknowns
         # v has no unit of its own: its stiffness goes by the evidence at hand.
-        evidence = float(np.trace(corner[of_v, of_v])) / points
-        for part, values, stiffness in (
-            (of_w, motion.w, self._rotation_stiffness),
-            (of_v, motion.v, self.config.spline_roughness * evidence),
-        ):
-            corner[part, part] += stiffness * self._roughness
-            corner_vector[part] -= stiffness * self._roughness @ values.ravel()
+        evidence = float(np.trace(corner[_OF_V, _OF_V])) / _POINTS
+        smooth = self._smooth_turn + evidence * self._smooth_travel
         if self.straight:
-            corner += self._stillness
-            corner_vector[of_w] -= self._stillness[of_w, of_w] @ motion.w.ravel()
-        mean = np.tile(motion.v.mean(axis=0), CONTROL_POINTS) / CONTROL_POINTS
-        corner[of_v, of_v] += evidence * np.outer(mean, mean)
+            smooth += self._stillness
+        corner += smooth
+        corner_vector -= smooth @ unknowns
+        mean = _MEAN_V @ unknowns
+        corner[_OF_V, _OF_V] += evidence * np.outer(mean, mean)
         if prior is not None:
-            present = _TO_MIDDLE[:, :-1] @ np.concatenate([motion.w.ravel(), motion.v.ravel()])
             known = _TO_MIDDLE.T @ prior.information
             corner += known @ _TO_MIDDLE
-            corner_vector -= known @ (present - prior.mean)
+            corner_vector -= known @ (_TO_MIDDLE @ unknowns - prior.mean)
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
-        diagonal = np.diag_indices_from(corner)
-        corner[diagonal] += 1e-6 * corner[diagonal] + 1e-9
+        diagonal = corner.ravel()[:: MOTION_UNKNOWNS + 1]  # a view
+        diagonal += 1e-6 * diagonal + 1e-9
 
     def _move(self, step: Array) -> None:
-        self.step_px = float(np.sqrt(np.mean(step**2)))
+        self.step_px = float(np.sqrt(step @ step / len(step)))
         self.flow = (self.flow + step.reshape(self.lattice.shape)).astype(np.float32)
 
     def _require_motion(self) -> Motion:

@@ -7,6 +7,7 @@ working image.
 
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -157,16 +158,31 @@ def without_hot_pixels(events: Events, width: int, height: int) -> Events:
         events: on the sensor.
         width, height: of the sensor in pixels.
     """
-    columns = width + 2  # a frame of one pixel spares the border's cases
-    pixel = (events.y.astype(np.intp) + 1) * columns + events.x + 1
-    count = np.bincount(pixel, minlength=columns * (height + 2))
-    often = np.flatnonzero(count > _FEWEST_HOT)
-    around = sum(
-        count[often + dy * columns + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx
-    )
-    hot = np.zeros(len(count), np.bool_)
-    hot[often] = count[often] > _FEWEST_HOT + _SHARE_OF_NEIGHBOURS * around
-    return events[~hot[pixel]] if hot.any() else events
+    alive, number = _not_hot(events.x, events.y, width, height)
+    return events[alive] if number < len(events) else events
+
+
+@numba.njit(cache=True, nogil=True)
+def _not_hot(
+    x: NDArray[np.uint16], y: NDArray[np.uint16], width: int, height: int
+) -> tuple[NDArray[np.bool_], int]:
+    """Mask (N,) of the events that are not of hot pixels, and their number."""
+    count = np.zeros((height + 2, width + 2), np.int32)  # a frame spares the border's cases
+    for k in range(len(x)):
+        count[y[k] + 1, x[k] + 1] += 1
+    hot = np.zeros((height, width), np.bool_)
+    for i in range(height):
+        for j in range(width):
+            own = count[i + 1, j + 1]
+            if own > _FEWEST_HOT:
+                around = count[i : i + 3, j : j + 3].sum() - own
+                hot[i, j] = own > _FEWEST_HOT + _SHARE_OF_NEIGHBOURS * around
+    alive = np.empty(len(x), np.bool_)
+    number = 0
+    for k in range(len(x)):
+        alive[k] = not hot[y[k], x[k]]
+        number += alive[k]
+    return alive, number
 
 
 def without_flicker(events: Events, width: int, height: int) -> Events:

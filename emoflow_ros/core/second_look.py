@@ -128,8 +128,8 @@ def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> fl
         one, other: (columns, rows, times, 2), px per window; their means over time count.
         events: of the window.
     """
-    every = max(1, len(events) // _EVENTS)
-    points = np.stack([events.x[::every], events.y[::every]], axis=-1).astype(np.float64)
+    few = _some(events)
+    points = np.stack([few.x, few.y], axis=-1).astype(np.float64)
     apart = bilinear((one - other).mean(axis=2), points, lattice.per_px)
     return float(np.quantile(np.hypot(apart[:, 0], apart[:, 1]), _SHARE))
 

@@ -74,17 +74,25 @@ class WindowEvents:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
+    _thinned: dict[int, "WindowEvents"] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
     @classmethod
     def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
         """Weigh events by their polarity and density."""
         return cls(x, y, s, _weigh(x, y, on, _DENSITY_TAPS))
 
     def every(self, step: int) -> "WindowEvents":
-        """Thin out to each step-th event; the weights make up for it."""
-        x, y, s, weights = (
-            np.ascontiguousarray(c[::step]) for c in (self.x, self.y, self.s, self.weights)
-        )
-        return WindowEvents(x, y, s, weights * np.float32(np.sqrt(step)))
+        """Thin out to each step-th event, the same each time; the weights make up for it."""
+        found = self._thinned.get(step)
+        if found is None:
+            x, y, s, weights = (
+                np.ascontiguousarray(c[::step]) for c in (self.x, self.y, self.s, self.weights)
+            )
+            found = WindowEvents(x, y, s, weights * np.float32(np.sqrt(step)))
+            self._thinned[step] = found
+        return found
 
     def between(self, begin: float, end: float) -> "WindowEvents":
         """Take the events of a part of the window, times in [0, 1]."""
