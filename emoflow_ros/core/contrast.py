@@ -45,8 +45,8 @@ class ImageContrast(Protocol):
         """Image pixels per sensor pixel."""
         ...
 
-    def score(self, events: WindowEvents, position: F32) -> float:
-        """Contrast of events at given positions (2, N) px."""
+    def score(self, events: WindowEvents, u: float, v: float) -> float:
+        """Contrast of events warped to the middle by a constant flow, px per window."""
         ...
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
@@ -91,9 +91,11 @@ class Contrast:
             *events.on(self.lattice), ref, flow, per_px, self.scale, self._taps, self.image
         )
 
-    def score(self, events: WindowEvents, position: F32) -> float:
-        """Contrast of events at given positions (2, N) px."""
-        return self._area * _draw(position, events.weights, self.scale, self._taps, self.image)
+    def score(self, events: WindowEvents, u: float, v: float) -> float:
+        """Contrast of events warped to the middle by a constant flow, px per window."""
+        return self._area * _shift(
+            events.x, events.y, events.s, events.weights, u, v, self.scale, self._taps, self.image
+        )
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of the warped events over that of the events as they came.
@@ -101,7 +103,7 @@ class Contrast:
         0 where the latter is 0, because as many events of either polarity lie at each pixel.
         """
         sharp = self.sharpen(events, flow)
-        as_came = self.score(events, np.stack([events.x, events.y]))
+        as_came = self.score(events, 0.0, 0.0)
         return sharp / as_came if as_came > 0 else 0.0
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
@@ -129,6 +131,19 @@ def _draw(position: F32, weights: F32, scale: float, taps: F32, image: F32) -> f
     kernels.vote(position, weights, np.zeros(len(weights), np.int32), scale, images)
     smooth(images, taps)
     return 0.5 * _sum_of_squares(image.ravel())
+
+
+@_compiled
+def _shift(
+    x: F32, y: F32, s: F32, weights: F32, u: float, v: float, scale: float, taps: F32, image: F32
+) -> float:  # fmt: skip
+    """Draw the smoothed image of events warped by a constant flow; half the sum of its squares."""
+    position = np.empty((2, len(x)), np.float32)
+    by_x, by_y, half = np.float32(u), np.float32(v), np.float32(0.5)
+    for k in range(len(x)):
+        position[0, k] = x[k] + (half - s[k]) * by_x
+        position[1, k] = y[k] + (half - s[k]) * by_y
+    return _draw(position, weights, scale, taps, image)
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
@@ -193,16 +208,13 @@ def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: flo
         events: a few thousand suffice.
         reach: largest displacement per window that is tried, px.
     """
-    position = np.empty((2, len(events)), np.float32)
-    lever = np.float32(0.5) - events.s
 
     def score(flow: tuple[float, float]) -> float:
-        position[0] = events.x + lever * np.float32(flow[0])
-        position[1] = events.y + lever * np.float32(flow[1])
-        return contrast.score(events, position)
+        return contrast.score(events, *flow)
 
     step = 2.0 / contrast.scale
-    steps = np.arange(-int(reach / step), int(reach / step) + 1) * step
+    most = int(reach / step)
+    steps = [k * step for k in range(-most, most + 1)]
     best = max(((u, v) for u in steps for v in steps), key=score)
     while step > 1.0:
         step /= 2

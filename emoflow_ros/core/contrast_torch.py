@@ -76,12 +76,12 @@ class TorchContrast:
         """Leave the buffers out: they hold nothing from one call to the next."""
         return self._again, ()
 
-    def score(self, events: WindowEvents, position: F32) -> float:
-        """Contrast of events at given positions (2, N) px."""
+    def score(self, events: WindowEvents, u: float, v: float) -> float:
+        """Contrast of events warped to the middle by a constant flow, px per window."""
         self._events.load(events)
-        at = torch.from_numpy(position).to(self._image.device)
-        image = self._draw(at.T, self._events.columns[3, : len(events)])
-        return self._energy(image).item()
+        x, y, s, weights = self._events.columns
+        position = torch.stack([x + (0.5 - s) * u, y + (0.5 - s) * v], dim=1)
+        return self._energy(self._draw(position, weights)).item()
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of the warped events over that of the events as they came; 0 where that is 0."""

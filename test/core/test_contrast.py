@@ -189,7 +189,7 @@ def test_one_event_by_hand():
 
 def test_unlike_polarities_cancel():
     events = WindowEvents(*np.float32([[60, 60], [40, 40], [0.5, 0.5], [1, -1]]))
-    assert Contrast(LATTICE, 1.0).score(events, np.float32([[60, 60], [40, 40]])) == 0
+    assert Contrast(LATTICE, 1.0).score(events, 0.0, 0.0) == 0
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -199,6 +199,14 @@ def test_contrast_is_highest_for_the_true_flow(scale):
     at_truth = contrast.sharpen(events, constant(8, -5))
     for u, v in ((0, 0), (8, 5), (-8, 5), (16, -10), (4, -2.5)):
         assert contrast.sharpen(events, constant(u, v)) < 0.97 * at_truth
+
+
+@pytest.mark.parametrize("u", [(8, -5), (-3.5, 12.25)])
+def test_score_is_the_contrast_of_a_constant_flow(u):
+    events, contrast = moving_dots((8, -5)), Contrast(LATTICE, 0.5)
+    assert contrast.score(events, *u) == pytest.approx(
+        contrast.sharpen(events, constant(*u)), rel=1e-4
+    )
 
 
 @pytest.mark.parametrize("displacement", [(0, 0), (12, -7), (-31, 22), (3.4, 44)])
@@ -241,7 +249,7 @@ def test_events_of_one_part_do_not_count_among_themselves():
     together = WindowEvents(*at, s, np.float32([1, 1, 0, 0, 0, 0, 0, 0]))
     apart = WindowEvents(*at, s, np.float32([1, 0, 0, 0, 0, 0, 0, 1]))
     contrast, still = Contrast(LATTICE, 1.0), constant(0, 0)
-    assert contrast.score(together, at) == pytest.approx(contrast.score(apart, at), rel=1e-6)
+    assert contrast.score(together, 0, 0) == pytest.approx(contrast.score(apart, 0, 0), rel=1e-6)
     assert value_at(contrast, together, still) == pytest.approx(0, abs=1e-6)
     peak = (binomial(1.0).astype(np.float64) ** 2).sum() ** 2
     assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-5)

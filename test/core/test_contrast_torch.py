@@ -141,9 +141,9 @@ def test_score_and_gain_as_on_the_processor(rng, device, scale):
     contrast = TorchContrast(grid, scale, device=device, capacity=CAPACITY)
     reference = Contrast(grid, scale)
     events, flow = moving_dots(rng), random_flow(rng, grid.shape, scale=1.0)
-    position = rng.uniform(-30, 130, (2, len(events))).astype(np.float32)
-    expected = reference.score(events, position)
-    assert contrast.score(events, position) == pytest.approx(expected, rel=1e-5)
+    for u, v in ((0.0, 0.0), (7.5, -4.25), (-150.0, 90.0)):
+        expected = reference.score(events, u, v)
+        assert contrast.score(events, u, v) == pytest.approx(expected, rel=1e-5)
     assert contrast.gain(events, flow) == pytest.approx(reference.gain(events, flow), rel=1e-5)
 
 
