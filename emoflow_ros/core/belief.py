@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, GREVILLE
 from emoflow_ros.core.egomotion import NodeEpipolar
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.events import NS_PER_S, Window
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
 
@@ -78,6 +78,46 @@ class Belief:
         covariance = self.covariance.copy()
         covariance[3:, 3:] -= np.outer(self.v, self.v)
         return covariance[np.ix_(order, order)]
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """What earlier windows say about the motion in the middle of this one.
+
+    Attributes:
+        mean: (6,) w in rad per window, v.
+        information: (6, 6).
+    """
+
+    mean: Array
+    information: Array
+
+    @classmethod
+    def carried(
+        cls, belief: Belief, window: Window, angular_drift: float, direction_drift: float
+    ) -> Self:
+        """Carry a belief over to the middle of a window, in its units.
+
+        Args:
+            belief: what is known from earlier windows.
+            window: the one to come.
+            angular_drift: deg/s per square root of a second.
+            direction_drift: deg per square root of a second.
+        """
+        information = belief.predicted_information(
+            (window.t_start + window.t_end) // 2,
+            np.radians(angular_drift),
+            np.radians(direction_drift),
+        )
+        unit = np.repeat([window.duration, 1.0], 3)
+        return cls(unit * np.concatenate([belief.w, belief.v]), information / np.outer(unit, unit))
+
+    def surprise(self, directions: Array) -> Array:
+        """Cost (M,) that directions of v (M, 3), of either sign, would add to that of the flow."""
+        of_v = np.linalg.inv(np.linalg.inv(self.information)[3:, 3:])
+        apart = np.stack([directions - self.mean[3:], directions + self.mean[3:]])
+        cost: Array = np.einsum("smi,ij,smj->sm", apart, of_v, apart).min(axis=0)
+        return cost / INFORMATION_EXCESS
 
 
 @dataclass(frozen=True)

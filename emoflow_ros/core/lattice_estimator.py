@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from emoflow_ros.core.belief import KnownRotation
+from emoflow_ros.core.belief import KnownRotation, MotionPrior
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.confinement import is_confined
@@ -21,7 +21,7 @@ from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit, MotionPrior
+from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare

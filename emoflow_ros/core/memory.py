@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import Belief, Structure
+from emoflow_ros.core.belief import Belief, MotionPrior, Structure
 from emoflow_ros.core.egomotion import Motion
 from emoflow_ros.core.events import NS_PER_S, Window
-from emoflow_ros.core.lattice_fit import LatticeFit, MotionPrior
+from emoflow_ros.core.lattice_fit import LatticeFit
 
 # Shares of the flow's change in a window that may go on: the events decide.
 _EXTRAPOLATIONS = (0.5, 0.0, 1.0, 1.5)

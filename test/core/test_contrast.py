@@ -3,13 +3,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import convolve1d
 
 from emoflow_ros.core import kernels
 from emoflow_ros.core.contrast import PAIRS, Contrast, best_constant_flow
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.smoothing import binomial, outwards, smooth
+from emoflow_ros.core.smoothing import binomial
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 LATTICE = Lattice(120, 90, 5, 4, 2)
@@ -218,30 +217,6 @@ def test_search_of_a_constant_flow(displacement):
     np.testing.assert_allclose(found, displacement, atol=1.0)
 
 
-@pytest.mark.parametrize("variance", [1.0, 2.0])
-def test_binomials_have_their_variance_and_come_near_to_gaussians(variance):
-    taps = binomial(variance).astype(np.float64)
-    at = np.arange(len(taps)) - len(taps) // 2
-    assert taps.sum() == 1 and taps @ at**2 == variance
-    gaussian = np.exp(-(at**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-    np.testing.assert_allclose(taps, gaussian, atol=0.025)
-
-
-def test_binomials_in_turn_add_their_variances():
-    np.testing.assert_array_equal(np.convolve(binomial(1.0), binomial(1.0)), binomial(2.0))
-
-
-@pytest.mark.parametrize("shape", [(41, 57), (2, 2)])
-def test_smooth_is_a_convolution_with_zeros_outside(shape):
-    images = np.random.default_rng(1).normal(size=(2, *shape)).astype(np.float32)
-    taps = binomial(2.0)
-    expected = images.astype(np.float64)
-    for axis in (1, 2):
-        expected = convolve1d(expected, taps.astype(np.float64), axis, mode="constant")
-    smooth(images, outwards(taps))
-    np.testing.assert_allclose(images, expected, atol=1e-6)
-
-
 def test_events_of_one_part_do_not_count_among_themselves():
     """A burst at one place is no contrast between parts; the same events over the window are."""
     at = np.float32([[60] * 8, [40] * 8])
@@ -255,42 +230,6 @@ def test_events_of_one_part_do_not_count_among_themselves():
     assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-5)
 
 
-def evenly(per_pixel: int, seed=4) -> WindowEvents:
-    """Every pixel of 120 x 88 has this many events, in random order."""
-    pixels = np.tile(np.arange(120 * 88), per_pixel)
-    rng = np.random.default_rng(seed)
-    rng.shuffle(pixels)
-    y, x = np.divmod(pixels, 120)
-    s = rng.random(len(pixels)).astype(np.float32)
-    return WindowEvents.prepare(x.astype(np.float32), y.astype(np.float32), s, s < 0.5)
-
-
-def test_weights_are_the_inverse_root_of_the_density_with_the_polaritys_sign():
-    sparse, dense = evenly(1), evenly(4)
-    np.testing.assert_allclose(np.abs(sparse.weights), np.abs(sparse.weights[0]), rtol=1e-5)
-    np.testing.assert_allclose(np.abs(dense.weights), np.abs(sparse.weights[0]) / 2, rtol=1e-5)
-    np.testing.assert_array_equal(dense.weights > 0, dense.s < 0.5)
-
-
-def test_strong_texture_counts_no_more_than_weak():
-    """Four times the events in one half: the weights make up for nearly all of it."""
-    y, x = np.mgrid[:88, :120].reshape(2, -1)
-    repeats = np.where(x < 60, 4, 1)
-    x, y = (np.repeat(c, repeats).astype(np.float32) for c in (x, y))
-    weights = WindowEvents.prepare(x, y, np.zeros_like(x), np.ones(len(x), bool)).weights
-    ratio = weights[x > 90].mean() / weights[x < 30].mean()
-    assert 1.7 < ratio < 2
-
-
-def test_a_lone_event_stays_weak():
-    y, x = np.mgrid[:88, :60].reshape(2, -1).astype(np.float32)
-    x, y = np.append(x, 119), np.append(y, 0).astype(np.float32)
-    weights = WindowEvents.prepare(
-        x.astype(np.float32), y, np.zeros(len(x), np.float32), np.ones(len(x), bool)
-    ).weights
-    assert 2 < weights[-1] / weights[0] < 10  # by its density alone it would be 30 and more
-
-
 @pytest.mark.parametrize("copies", [2, 5])
 def test_contrast_grows_with_the_number_of_events(copies):
     """Each event k times: k events of weight 1 / sqrt(k), the contrast k times as large."""
@@ -302,13 +241,3 @@ def test_contrast_grows_with_the_number_of_events(copies):
     assert contrast.sharpen(often, flow) == pytest.approx(
         copies * contrast.sharpen(once, flow), rel=1e-4
     )
-
-
-def test_thinning_weighs_as_if_the_rest_had_never_been():
-    events = evenly(6)
-    thin = events.every(3)
-    assert len(thin) == len(events) // 3
-    np.testing.assert_array_equal(thin.x, events.x[::3])
-    np.testing.assert_array_equal(thin.s, events.s[::3])
-    np.testing.assert_allclose(np.abs(thin.weights), np.abs(evenly(2).weights[0]), rtol=1e-5)
-    assert (thin.weights**2).sum() == pytest.approx((events.weights**2).sum(), rel=1e-5)

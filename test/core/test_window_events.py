@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.window_events import PARTS, WindowEvents
@@ -50,3 +51,49 @@ def test_they_are_sorted_once_for_each_lattice():
 def test_a_window_without_events_has_empty_cells():
     here = events(2).at(np.zeros(2, bool)).on(LATTICE)
     assert len(here.s) == 0 and not here.begin.any()
+
+
+def evenly(per_pixel: int, seed=4) -> WindowEvents:
+    """Every pixel of 120 x 88 has this many events, in random order."""
+    pixels = np.tile(np.arange(120 * 88), per_pixel)
+    rng = np.random.default_rng(seed)
+    rng.shuffle(pixels)
+    y, x = np.divmod(pixels, 120)
+    s = rng.random(len(pixels)).astype(np.float32)
+    return WindowEvents.prepare(x.astype(np.float32), y.astype(np.float32), s, s < 0.5)
+
+
+def test_weights_are_the_inverse_root_of_the_density_with_the_polaritys_sign():
+    sparse, dense = evenly(1), evenly(4)
+    np.testing.assert_allclose(np.abs(sparse.weights), np.abs(sparse.weights[0]), rtol=1e-5)
+    np.testing.assert_allclose(np.abs(dense.weights), np.abs(sparse.weights[0]) / 2, rtol=1e-5)
+    np.testing.assert_array_equal(dense.weights > 0, dense.s < 0.5)
+
+
+def test_strong_texture_counts_no_more_than_weak():
+    """Four times the events in one half: the weights make up for nearly all of it."""
+    y, x = np.mgrid[:88, :120].reshape(2, -1)
+    repeats = np.where(x < 60, 4, 1)
+    x, y = (np.repeat(c, repeats).astype(np.float32) for c in (x, y))
+    weights = WindowEvents.prepare(x, y, np.zeros_like(x), np.ones(len(x), bool)).weights
+    ratio = weights[x > 90].mean() / weights[x < 30].mean()
+    assert 1.7 < ratio < 2
+
+
+def test_a_lone_event_stays_weak():
+    y, x = np.mgrid[:88, :60].reshape(2, -1).astype(np.float32)
+    x, y = np.append(x, 119), np.append(y, 0).astype(np.float32)
+    weights = WindowEvents.prepare(
+        x.astype(np.float32), y, np.zeros(len(x), np.float32), np.ones(len(x), bool)
+    ).weights
+    assert 2 < weights[-1] / weights[0] < 10  # by its density alone it would be 30 and more
+
+
+def test_thinning_weighs_as_if_the_rest_had_never_been():
+    events = evenly(6)
+    thin = events.every(3)
+    assert len(thin) == len(events) // 3
+    np.testing.assert_array_equal(thin.x, events.x[::3])
+    np.testing.assert_array_equal(thin.s, events.s[::3])
+    np.testing.assert_allclose(np.abs(thin.weights), np.abs(evenly(2).weights[0]), rtol=1e-5)
+    assert (thin.weights**2).sum() == pytest.approx((events.weights**2).sum(), rel=1e-5)
