@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.cells import Cells
 from emoflow_ros.core.lattice import Lattice, material_derivative
-from emoflow_ros.core.smoothing import binomial, outwards, smooth
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 from emoflow_ros.core.window_events import PARTS, CellEvents, WindowEvents
 
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
-VARIANCE = 1.0  # of the kernel that smooths the image, image pixels squared
+SIGMA = 1.0  # of the Gaussian that smooths the image, image pixels
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: that is the most costly part
 
 F32 = NDArray[np.float32]
@@ -76,8 +76,8 @@ class Contrast:
         self.lattice = lattice
         self.scale = scale
         self._area = scale**2  # makes contrasts of all scales alike
-        self._taps = outwards(binomial(VARIANCE))
-        self._taps_twice = outwards(binomial(2 * VARIANCE))  # once more, for the derivatives
+        taps = gaussian(SIGMA)
+        self._taps, self._taps_twice = outwards(taps), outwards(np.convolve(taps, taps))
         margin = 2 * kernels.MARGIN
         shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
         self.image = np.zeros(shape, np.float32)

@@ -14,11 +14,11 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from emoflow_ros.core.cells import PAIR, PAIRS_OF_NODES, Cells
-from emoflow_ros.core.contrast import PAIRS, VARIANCE
+from emoflow_ros.core.contrast import PAIRS, SIGMA
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.smoothing import binomial
+from emoflow_ros.core.smoothing import gaussian
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 _WARM_UPS = 3  # before the capture, as torch asks for
@@ -50,8 +50,9 @@ class TorchContrast:
         height = int((lattice.height + 2 * MARGIN) * scale) + 1
         width = int((lattice.width + 2 * MARGIN) * scale) + 1
         self._shape = (height, width)
-        self._taps = torch.tensor(binomial(VARIANCE), device=device)
-        self._taps_twice = torch.tensor(binomial(2 * VARIANCE), device=device)
+        taps = gaussian(SIGMA)
+        self._taps = torch.tensor(taps, device=device)
+        self._taps_twice = torch.tensor(np.convolve(taps, taps), device=device)
         self._inner = torch.tensor([width - 2, height - 2], device=device)
         self._corners = torch.tensor([0, 1, width, width + 1], device=device)[:, None]
         offsets = [i * width + j for i in (-1, 0, 1) for j in (-1, 0, 1)]

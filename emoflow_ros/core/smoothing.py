@@ -1,6 +1,4 @@
-"""Smoothing of images by binomials, which come near to Gaussians, in numba."""
-
-from math import comb
+"""Gaussian smoothing of images, in numba."""
 
 import numba
 import numpy as np
@@ -8,17 +6,18 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 
-_REACH = 4  # px of an image on either side of the middle of a smoothing kernel, at most
+_REACH = 6  # px of an image on either side of the middle of a smoothing kernel, at most
 
 
-def binomial(variance: float) -> F32:
-    """Kernel of the variance given (a multiple of 1 / 2), px^2: binomial coefficients, sum 1."""
-    order = round(4 * variance)
-    return np.array([comb(order, k) for k in range(order + 1)], np.float32) / np.float32(2**order)
+def gaussian(sigma: float) -> F32:
+    """Sampled Gaussian with sum 1, to 2.5 sigma on either side."""
+    reach = int(np.ceil(2.5 * sigma))
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return (taps / taps.sum()).astype(np.float32)
 
 
 def outwards(taps: F32) -> F32:
-    """Bring a symmetric kernel of at most 9 taps to the form that `smooth` takes, (5,)."""
+    """Bring a symmetric kernel of at most 13 taps to the form that `smooth` takes, (7,)."""
     middle = len(taps) // 2
     result = np.zeros(_REACH + 1, np.float32)
     result[: middle + 1] = taps[middle:]
@@ -31,7 +30,7 @@ def smooth(images: F32, taps: F32) -> None:
 
     Args:
         images: (n, h, w).
-        taps: (5,) from the middle outwards: always as many, so that the loops over them are
+        taps: (7,) from the middle outwards: always as many, so that the loops over them are
             unrolled.
     """
     number, h, w = images.shape

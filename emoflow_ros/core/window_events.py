@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.smoothing import binomial, outwards, smooth
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 
 PARTS = 4  # parts of the window whose images are compared
 
 _DENSITY_CELL = 4  # side of the cells in which density is counted, px
-_DENSITY_TAPS = outwards(binomial(2.0))  # half of the density's smoothing, in these cells
+_DENSITY_TAPS = outwards(gaussian(2.0))  # the density's smoothing, in these cells
 _DENSITY_FLOOR = 0.1  # share of the mean density that is added: lone events stay weak
 
 F32 = NDArray[np.float32]
@@ -126,8 +126,7 @@ def _weigh(x: F32, y: F32, on: NDArray[np.bool_], taps: F32) -> F32:
     for k in range(len(x)):
         density[int(y[k] / side), int(x[k] / side)] += 1
     floor = np.float32(_DENSITY_FLOOR * len(x) / (rows * columns))
-    for _ in range(2):
-        smooth(both, taps)
+    smooth(both, taps)
     size = side / np.sqrt(density / support + floor)
     weights = np.empty(len(x), np.float32)
     for k in range(len(x)):

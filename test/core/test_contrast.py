@@ -8,7 +8,7 @@ from emoflow_ros.core import kernels
 from emoflow_ros.core.contrast import PAIRS, Contrast, best_constant_flow
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.smoothing import binomial
+from emoflow_ros.core.smoothing import gaussian
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 LATTICE = Lattice(120, 90, 5, 4, 2)
@@ -104,7 +104,7 @@ def reference_gradient(events, flow, scale):
         (0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)
     ):  # fmt: skip
         image = image.index_add(0, part * h * w + (i + di) * w + j + dj, weights * share)
-    taps = tensor(binomial(1.0))
+    taps = tensor(gaussian(1.0))
     image = image.reshape(PARTS, 1, h, w)
     # Wide enough that nothing is lost between the first and the second smoothing.
     image = torch.nn.functional.pad(image, (len(taps),) * 4)
@@ -179,7 +179,7 @@ def test_one_event_by_hand():
     events = WindowEvents(*np.float32([[60], [40], [0.5], [3.0]]))
     contrast = Contrast(LATTICE, 1.0)
     value = contrast.sharpen(events, constant(5, 5))
-    squares = (binomial(1.0).astype(np.float64) ** 2).sum()
+    squares = (gaussian(1.0).astype(np.float64) ** 2).sum()
     assert value == pytest.approx(0.5 * 9 * squares**2, rel=1e-5)
     # already at the reference time
     assert contrast.image[40 + kernels.MARGIN, 60 + kernels.MARGIN] == contrast.image.max()
@@ -226,7 +226,7 @@ def test_events_of_one_part_do_not_count_among_themselves():
     contrast, still = Contrast(LATTICE, 1.0), constant(0, 0)
     assert contrast.score(together, 0, 0) == pytest.approx(contrast.score(apart, 0, 0), rel=1e-6)
     assert value_at(contrast, together, still) == pytest.approx(0, abs=1e-6)
-    peak = (binomial(1.0).astype(np.float64) ** 2).sum() ** 2
+    peak = (gaussian(1.0).astype(np.float64) ** 2).sum() ** 2
     assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-5)
 
 

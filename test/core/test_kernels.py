@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from emoflow_ros.core import derivatives, kernels, normal_equations
 from emoflow_ros.core.cells import Cells
 from emoflow_ros.core.lattice import Lattice, material_derivative
-from emoflow_ros.core.smoothing import binomial, outwards, smooth
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 from emoflow_ros.core.window_events import CellEvents
 
 LATTICE = Lattice(120, 90, 5, 4)
@@ -145,7 +145,7 @@ def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
 
 def smooth_image(rng, shape):
     images = rng.normal(size=(1, *shape)).astype(np.float32)
-    smooth(images, outwards(binomial(1.0)))
+    smooth(images, outwards(gaussian(1.0)))
     return images[0]
 
 
