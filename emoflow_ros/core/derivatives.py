@@ -103,7 +103,7 @@ def stiffen(
 
     Args:
         events, ref, position, potentials, scale: as in `pull`.
-        stride: the events that are taken count for all events of the cell.
+        stride: the events that are taken count this many times.
         factor: of the sums.
         curvature: of Cells, written.
     """
@@ -111,15 +111,15 @@ def stiffen(
     products, values = curvature.reshape(-1, PAIRS_OF_NODES, 3), potentials.ravel()
     two, half, quarter = np.float32(2), np.float32(0.5), np.float32(0.25)
     shift = np.float32((MARGIN + 0.5) * scale - 0.5)
-    zoom, middle = np.float32(scale), np.float32(ref)
+    zoom, middle, share = np.float32(scale), np.float32(ref), np.float32(factor * stride)
     right, down = np.uint64(1), np.uint64(w)
     most = -(-len(events.s) // stride)
     xx, xy, yy = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
     fx, fy, ft = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
     for cell in range(len(products)):
-        first, end = events.begin[cell], events.begin[cell + 1]
-        number = -(-(end - first) // stride)
-        share = np.float32(factor * (end - first) / max(number, 1))
+        # Sorted by time: in each cell another one comes first, so that no time counts more.
+        first, end = events.begin[cell] + cell % stride, events.begin[cell + 1]
+        number = max(0, -(-(end - first) // stride))
         for n in range(number):
             k = first + n * stride
             fx[n], fy[n] = events.right[k], events.down[k]

@@ -85,7 +85,7 @@ class DeviceEvents:
 
     def _fill_slots(self, count: int) -> None:
         cell, _ = self._place(self.columns[:, :-1], 0.5 * (self.columns[2, :-1] + self._ref))
-        source = self._sources(self._flat(cell), count)
+        source = self._sources(self._flat(cell))
         slotted = self.columns[:, source]
         self.xy.copy_(slotted[:2].T)
         self.weights.copy_(slotted[3])
@@ -112,12 +112,11 @@ class DeviceEvents:
         _, rows, times = self._shape
         return (cell[0] * rows + cell[1]) * times + cell[2]
 
-    def _sources(self, cell: Tensor, events: int) -> Tensor:
+    def _sources(self, cell: Tensor) -> Tensor:
         """Choose the event in each slot, (S,), the blocks' cells and whose stiffness is taken.
 
         Args:
             cell: (capacity,) of each event; slots left empty get the one behind the last.
-            events: number of them; what follows has no weight.
         """
         cells, blocks = self.members.shape
         count = torch.zeros(cells, dtype=torch.int64, device=cell.device)
@@ -134,11 +133,9 @@ class DeviceEvents:
         source = torch.full((blocks * _BLOCK,), self.capacity, device=cell.device)
         slot = first[home] * _BLOCK + rank
         source[slot] = order
-        there = torch.zeros_like(count).index_add_(0, cell[:events], torch.ones_like(cell[:events]))
-        taken = (there + STIFFNESS_STRIDE - 1) // STIFFNESS_STRIDE
-        share = there / taken.clamp(min=1)
         self.copies.zero_()
-        self.copies[slot] = share[home] * (rank % STIFFNESS_STRIDE == 0)
+        taken = rank % STIFFNESS_STRIDE == home % STIFFNESS_STRIDE
+        self.copies[slot] = STIFFNESS_STRIDE * taken.to(self.copies.dtype)
         return source
 
 
