@@ -27,10 +27,11 @@ from emoflow_ros.core.window_events import WindowEvents
 F32 = NDArray[np.float32]
 
 _ALL = 1_000_000_000
-# Scale of the image, number of events, steps. With a part of the events in the last ones the
-# distance from the estimate says less about its error; full resolution adds nothing.
-_STEPS = ((0.25, 2_000, 5), (0.5, _ALL, 2))
-SCALES = tuple(scale for scale, _, _ in _STEPS)
+# Scale of the image, number of events, times of the flow in the window, steps. With a part of the
+# events in the last ones, or one time, the distance from the estimate says less about its error;
+# full resolution adds nothing.
+_STEPS = ((0.25, 2_000, 1, 5), (0.5, _ALL, 2, 2))
+SCALES = tuple(scale for scale, _, _, _ in _STEPS)
 
 # The search for a start of a cold fit: number of events, and reach in px per window.
 _SEARCH_EVENTS = 6_000
@@ -47,7 +48,7 @@ class SecondLook:
 
     The epipolar constraint can hold a flow at a maximum of the contrast that the events do not
     support. This fit then comes out elsewhere. Where the events leave no doubt it comes out close
-    to the estimate. Its flow does not change within the window.
+    to the estimate.
 
     Args:
         lattice: of the flow.
@@ -58,7 +59,9 @@ class SecondLook:
     def __init__(
         self, lattice: Lattice, contrasts: Mapping[float, ImageContrast], config: LatticeConfig
     ) -> None:
-        self._equations = NormalEquations(replace(lattice, times=1), 0)
+        self._equations = [
+            NormalEquations(replace(lattice, times=times), 0) for _, _, times, _ in _STEPS
+        ]
         self._contrasts = contrasts
         self._config = config
 
@@ -72,15 +75,16 @@ class SecondLook:
         Raises:
             NotPositiveDefiniteError: the events have no best flow.
         """
-        equations, flow = self._equations, start
-        still = equations.lattice.shape
-        for scale, number, steps in _STEPS:
+        flow = start
+        for (scale, number, times, steps), equations in zip(_STEPS, self._equations, strict=True):
             few = events.every(max(1, len(events) // number))
             for _ in range(steps):
                 equations.clear()
                 equations.add(self._contrasts[scale].linearise(few, flow))
-                equations.add_smoothness(flow[:, :, :1], self._config)
-                flow = (flow + equations.solve().reshape(still)).astype(np.float32)
+                equations.add_smoothness(flow[:, :, :times], self._config)
+                flow = (flow + equations.solve().reshape(equations.lattice.shape)).astype(
+                    np.float32
+                )
         return flow
 
 
