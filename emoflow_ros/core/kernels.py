@@ -1,6 +1,7 @@
 """Inner loops of the contrast in numba: warp, vote and what the other parts draw.
 
-Everything is in float32. `derivatives` has the contrast's derivatives.
+Everything is in float32. `derivatives` has the contrast's derivatives. numba keeps compiled kernels
+by the file of the outermost one, core/contrast.py: after a change here, delete the .nbi files.
 """
 
 import numba

@@ -38,6 +38,8 @@ _SHORTEST_LAMP_S = 0.02  # two periods
 _COHERENT = 0.35  # share of the polarity that goes with the mains from which a block flickers
 _CERTAIN = 5.0  # n times the square of that: exp(-5) is its chance without flicker, per part
 _LAMP_SAMPLE = 20_000  # events that suffice
+_TURN = np.linspace(0, 2 * np.pi, 4096, endpoint=False)
+_WAVE = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -205,33 +207,40 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
     seconds = ((some.t - some.t[0]) * 1e-9).astype(np.float32)
     if seconds[-1] < _SHORTEST_LAMP_S:
         return events
-    flickers = _flickering_blocks(some, seconds, width, height)
+    count = -(-width // _LAMP_BLOCK) * -(-height // _LAMP_BLOCK)
+    flickers = _flickering(_lamp_blocks(some, width), seconds, some.p, count)
     if not flickers.any():
         return events
     return events[~flickers[_lamp_blocks(events, width)]]
 
 
-def _flickering_blocks(
-    events: Events, seconds: NDArray[np.float32], width: int, height: int
+@numba.njit(cache=True, nogil=True)
+def _flickering(
+    block: NDArray[np.intp], seconds: NDArray[np.float32], on: NDArray[np.bool_], count: int
 ) -> NDArray[np.bool_]:
-    count = -(-width // _LAMP_BLOCK) * -(-height // _LAMP_BLOCK)
-    part = np.minimum((seconds * (_LAMP_PARTS / seconds[-1])).astype(np.intp), _LAMP_PARTS - 1)
-    block = _lamp_blocks(events, width)
-    n = np.bincount(part * count + block, minlength=_LAMP_PARTS * count).reshape(-1, count)
-    often = n.min(axis=0) >= _CERTAIN
+    """Tell which of `count` blocks flicker in each part of the time; see `without_flicker`."""
+    part = np.empty(len(block), np.int8)
+    number = np.zeros((_LAMP_PARTS, count), np.int32)
+    for k in range(len(block)):
+        part[k] = min(int(seconds[k] * (_LAMP_PARTS / seconds[-1])), _LAMP_PARTS - 1)
+        number[part[k], block[k]] += 1
     flickers = np.zeros(count, np.bool_)
     for frequency in MAINS_HZ:
-        certain = often.copy()
-        for k in range(_LAMP_PARTS):  # few blocks are left after the first
-            some = np.flatnonzero((part == k) & certain[block])
-            angle = np.float32(2 * np.pi * frequency) * seconds[some]
-            sign = np.where(events.p[some], 1.0, -1.0)
-            waves = [np.bincount(block[some], sign * wave(angle), count)
-                     for wave in (np.cos, np.sin)]  # fmt: skip
-            coherence = np.hypot(*waves) / np.maximum(n[k], 1)
-            certain &= (n[k] * coherence**2 > _CERTAIN) & (coherence > _COHERENT)
-            if not certain.any():
-                break
+        certain = np.ones(count, np.bool_)
+        for n in number:
+            certain &= n >= _CERTAIN
+        for p in range(_LAMP_PARTS):  # few blocks are left after the first
+            wave = np.zeros((count, 2))
+            for k in range(len(block)):
+                if part[k] == p and certain[block[k]]:
+                    phase = int(frequency * seconds[k] * len(_WAVE)) % len(_WAVE)
+                    sign = 1.0 if on[k] else -1.0
+                    wave[block[k], 0] += sign * _WAVE[phase, 0]
+                    wave[block[k], 1] += sign * _WAVE[phase, 1]
+            for i in range(count):
+                if certain[i]:
+                    n, squared = number[p, i], wave[i, 0] ** 2 + wave[i, 1] ** 2
+                    certain[i] = squared > max(_CERTAIN * n, (_COHERENT * n) ** 2)
         flickers |= certain
     return flickers
 
