@@ -12,24 +12,20 @@ window. Within a quarter events lie close together whatever the flow, most of al
 from collections.abc import Callable
 from typing import Protocol
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.cells import Cells
-from emoflow_ros.core.lattice import Lattice, material_derivative
+from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.smoothing import gaussian, outwards, smooth
-from emoflow_ros.core.window_events import PARTS, CellEvents, WindowEvents
+from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 SIGMA = 1.0  # of the Gaussian that smooths the image, image pixels
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: that is the most costly part
 
 F32 = NDArray[np.float32]
-I32 = NDArray[np.int32]
-
-_compiled = numba.njit(cache=True, nogil=True)
 
 
 class ImageContrast(Protocol):
@@ -80,22 +76,17 @@ class Contrast:
         self._taps, self._taps_twice = outwards(taps), outwards(np.convolve(taps, taps))
         margin = 2 * kernels.MARGIN
         shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
-        self.image = np.zeros(shape, np.float32)
+        self.image = np.zeros(shape, np.float32)  # of all events, as drawn last
         self._parts = np.zeros((PARTS, *shape), np.float32)
         self._cells = Cells.empty(lattice.columns, lattice.rows)
 
-    def sharpen(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> float:
-        """Draw the smoothed image of the events warped to `ref`, and return its contrast."""
-        per_px = self.lattice.per_px
-        return self._area * _sharpen(
-            *events.on(self.lattice), ref, flow, per_px, self.scale, self._taps, self.image
-        )
+    def sharpen(self, events: WindowEvents, flow: F32) -> float:
+        """Draw the smoothed image of the events warped to the middle, and return its contrast."""
+        return self._draw(self._warp(events, flow, 0.5), events.on(self.lattice).weights)
 
     def score(self, events: WindowEvents, u: float, v: float) -> float:
         """Contrast of events warped to the middle by a constant flow, px per window."""
-        return self._area * _shift(
-            events.x, events.y, events.s, events.weights, u, v, self.scale, self._taps, self.image
-        )
+        return self._draw(kernels.shift(events.x, events.y, events.s, u, v), events.weights)
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of the warped events over that of the events as they came.
@@ -116,88 +107,31 @@ class Contrast:
         right curvature. The image of the other parts moves against an event: by another
         1 / (n - 1).
         """
+        here, images = events.on(self.lattice), self._parts
+        position = self._warp(events, flow, ref)
+        kernels.vote(position, here.weights, here.part, self.scale, images)
+        smooth(images, self._taps_twice)
+        kernels.without_own(images)  # now what the other parts draw
+        drawn = (here, ref, position, images, self.scale)
         slope = self._area * PAIRS
-        _linearise(
-            *events.on(self.lattice), ref, flow, self.lattice.per_px, self.scale, self._taps_twice,
-            slope, self._parts, *self._cells,
-        )  # fmt: skip
+        derivatives.pull(*drawn, slope, self._cells.gradient)
+        derivatives.stiffen(*drawn, STIFFNESS_STRIDE, slope * PAIRS, self._cells.curvature)
         return self._cells
 
+    def _warp(self, events: WindowEvents, flow: F32, ref: float) -> F32:
+        """Warp events to `ref`, (2, N) px, sorted by the lattice's cells."""
+        position = np.empty((2, len(events)), np.float32)
+        acceleration = self.lattice.acceleration(flow)
+        kernels.warp(events.on(self.lattice), ref, flow, acceleration, position)
+        return position
 
-@_compiled
-def _draw(position: F32, weights: F32, scale: float, taps: F32, image: F32) -> float:
-    """Draw the smoothed image of events at positions (2, N) px; half the sum of its squares."""
-    images = image.reshape((1, *image.shape))
-    kernels.vote(position, weights, np.zeros(len(weights), np.int32), scale, images)
-    smooth(images, taps)
-    return 0.5 * _sum_of_squares(image.ravel())
-
-
-@_compiled
-def _shift(
-    x: F32, y: F32, s: F32, weights: F32, u: float, v: float, scale: float, taps: F32, image: F32
-) -> float:  # fmt: skip
-    """Draw the smoothed image of events warped by a constant flow; half the sum of its squares."""
-    position = np.empty((2, len(x)), np.float32)
-    by_x, by_y, half = np.float32(u), np.float32(v), np.float32(0.5)
-    for k in range(len(x)):
-        position[0, k] = x[k] + (half - s[k]) * by_x
-        position[1, k] = y[k] + (half - s[k]) * by_y
-    return _draw(position, weights, scale, taps, image)
-
-
-@numba.njit(cache=True, fastmath=True, nogil=True)
-def _sum_of_squares(values: F32) -> float:
-    total = np.float32(0)
-    for k in range(len(values)):
-        total += values[k] * values[k]
-    return float(total)
-
-
-@_compiled
-def _sharpen(
-    x: F32, y: F32, right: F32, down: F32, s: F32, weights: F32, part: I32, begin: I32,
-    ref: float, flow: F32, per_px: F32, scale: float, taps: F32, image: F32,
-) -> float:  # fmt: skip
-    """Draw the smoothed image of warped CellEvents; half the sum of its squares."""
-    events = CellEvents(x, y, right, down, s, weights, part, begin)
-    return _draw(_warp(events, ref, flow, per_px), weights, scale, taps, image)
-
-
-@_compiled
-def _warp(events: CellEvents, ref: float, flow: F32, per_px: F32) -> F32:
-    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
-    material_derivative(flow, per_px, acceleration)
-    position = np.empty((2, len(events.s)), np.float32)
-    kernels.warp(events, ref, flow, acceleration, position)
-    return position
-
-
-@_compiled
-def _linearise(
-    x: F32, y: F32, right: F32, down: F32, s: F32, weights: F32, part: I32, begin: I32,
-    ref: float, flow: F32, per_px: F32, scale: float, taps: F32, slope: float,
-    images: F32, gradient: F32, curvature: F32,
-) -> None:  # fmt: skip
-    """Compute gradient and curvature, all in one call: each call takes microseconds by itself.
-
-    Args:
-        x, y, right, down, s, weights, part, begin: fields of CellEvents.
-        ref, flow: see `Contrast.linearise`.
-        per_px, scale, taps: of the lattice, of the images, and of their smoothing, twice.
-        slope: factor of the gradient.
-        images: (PARTS, h, w), overwritten.
-        gradient, curvature: of Cells, overwritten.
-    """
-    events = CellEvents(x, y, right, down, s, weights, part, begin)
-    position = _warp(events, ref, flow, per_px)
-    kernels.vote(position, weights, part, scale, images)
-    smooth(images, taps)
-    kernels.without_own(images)  # now what the other parts draw
-    derivatives.pull(events, ref, position, images, scale, slope, gradient)
-    derivatives.stiffen(
-        events, ref, position, images, scale, STIFFNESS_STRIDE, slope * PAIRS, curvature
-    )
+    def _draw(self, position: F32, weights: F32) -> float:
+        """Draw the smoothed image of events at positions (2, N) px, and return its contrast."""
+        one_image = np.zeros(len(weights), np.int32)
+        kernels.vote(position, weights, one_image, self.scale, self.image[None])
+        smooth(self.image[None], self._taps)
+        flat = self.image.ravel()
+        return 0.5 * self._area * float(flat @ flat)
 
 
 def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: float) -> F32:

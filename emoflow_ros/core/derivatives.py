@@ -8,7 +8,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.cells import PAIRS_OF_NODES
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.window_events import CellEvents
 
@@ -44,14 +43,14 @@ def pull(
         gradient: of Cells, written.
     """
     _, h, w = potentials.shape
-    values, pulls = potentials.ravel(), gradient.reshape(-1, 16)
+    values, (cells_x, cells_y) = potentials.ravel(), gradient.shape[:2]
     one, half, nothing = np.float32(1), np.float32(0.5), np.float32(0)
     shift = np.float32((MARGIN + 0.5) * scale - 0.5)
     zoom, middle = np.float32(scale), np.float32(ref)
     last_x, last_y = np.float32(w - 2), np.float32(h - 2)
     below, down = np.int32(w), np.uint32(w)
     size, next_one = np.int32(h * w), np.uint32(1)  # without a sign: see `kernels.vote`
-    for cell in range(len(pulls)):
+    for cell in range(cells_x * cells_y):
         here = slice(events.begin[cell], events.begin[cell + 1])
         x, y, part = position[0, here], position[1, here], events.part[here]
         s, weights = events.s[here], events.weights[here]
@@ -82,8 +81,9 @@ def pull(
             y0, y1, y2, y3 = y0 + gy * h00, y1 + gy_late * h00, y2 + gy * h01, y3 + gy_late * h01
             y4, y5, y6, y7 = y4 + gy * h10, y5 + gy_late * h10, y6 + gy * h11, y7 + gy_late * h11
         sums = (x0, x1, x2, x3, x4, x5, x6, x7, y0, y1, y2, y3, y4, y5, y6, y7)
+        pulls = gradient[cell // cells_y, cell % cells_y]
         for b in range(16):
-            pulls[cell, b] = np.float32(factor) * sums[b]
+            pulls[b >> 3, b & 7] = np.float32(factor) * sums[b]
 
 
 @_fast
@@ -108,7 +108,7 @@ def stiffen(
         curvature: of Cells, written.
     """
     _, h, w = potentials.shape
-    products, values = curvature.reshape(-1, PAIRS_OF_NODES, 3), potentials.ravel()
+    values, (cells_x, cells_y) = potentials.ravel(), curvature.shape[:2]
     two, half, quarter = np.float32(2), np.float32(0.5), np.float32(0.25)
     shift = np.float32((MARGIN + 0.5) * scale - 0.5)
     zoom, middle, share = np.float32(scale), np.float32(ref), np.float32(factor * stride)
@@ -116,7 +116,7 @@ def stiffen(
     most = -(-len(events.s) // stride)
     xx, xy, yy = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
     fx, fy, ft = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
-    for cell in range(len(products)):
+    for cell in range(cells_x * cells_y):
         # Sorted by time: in each cell another one comes first, so that no time counts more.
         first, end = events.begin[cell] + cell % stride, events.begin[cell + 1]
         number = max(0, -(-(end - first) // stride))
@@ -148,7 +148,8 @@ def stiffen(
                 keep = half * max(mean + root, np.float32(0)) / max(root, np.float32(1e-20))
                 a, b, c = keep * (root + skew), keep * b, keep * (root - skew)
             xx[n], xy[n], yy[n] = a, b, c
-        _sum_products(xx[:number], xy[:number], yy[:number], fx, fy, ft, products[cell])
+        products = curvature[cell // cells_y, cell % cells_y]
+        _sum_products(xx[:number], xy[:number], yy[:number], fx, fy, ft, products)
 
 
 @_fast

@@ -1,7 +1,6 @@
 """Inner loops of the contrast in numba: warp, vote and what the other parts draw.
 
-Everything is in float32. `derivatives` has the contrast's derivatives. numba keeps compiled kernels
-by the file of the outermost one, core/contrast.py: after a change here, delete the .nbi files.
+Everything is in float32. `derivatives` has the contrast's derivatives.
 """
 
 import numba
@@ -60,6 +59,17 @@ def _bilinear(nodes: F32, c: int, r: int, d: int) -> tuple[float, float, float, 
     left, lower = nodes[c, r, d], nodes[c, r + 1, d]
     by_x, lower_by_x = nodes[c + 1, r, d] - left, nodes[c + 1, r + 1, d] - lower
     return left, by_x, lower - left, lower_by_x - by_x
+
+
+@_fast
+def shift(x: F32, y: F32, s: F32, u: float, v: float) -> F32:
+    """Warp events (N,) each to the middle by a constant flow, px per window; (2, N) px."""
+    position = np.empty((2, len(x)), np.float32)
+    by_x, by_y, middle = np.float32(u), np.float32(v), np.float32(0.5)
+    for k in range(len(x)):
+        position[0, k] = x[k] + (middle - s[k]) * by_x
+        position[1, k] = y[k] + (middle - s[k]) * by_y
+    return position
 
 
 @_fast

@@ -81,7 +81,11 @@ class WindowEvents:
     @classmethod
     def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
         """Weigh events by their polarity and density."""
-        return cls(x, y, s, _weigh(x, y, on, _DENSITY_TAPS))
+        both = _count(x, y)
+        floor = _DENSITY_FLOOR * both[0].mean()
+        smooth(both, _DENSITY_TAPS)
+        size = _DENSITY_CELL / np.sqrt(both[0] / both[1] + floor)
+        return cls(x, y, s, _choose(x, y, on, size))
 
     def every(self, step: int) -> "WindowEvents":
         """Thin out to each step-th event, the same each time; the weights make up for it."""
@@ -115,19 +119,20 @@ class WindowEvents:
 
 
 @numba.njit(cache=True, nogil=True)
-def _weigh(x: F32, y: F32, on: NDArray[np.bool_], taps: F32) -> F32:
-    """Weights (N,) of events; see `WindowEvents.prepare`."""
+def _count(x: F32, y: F32) -> F32:
+    """Count the events of each density cell, (0, rows, columns), beside ones."""
     side = np.float32(_DENSITY_CELL)
-    columns, rows = int(x.max() / side) + 1, int(y.max() / side) + 1
-    # Number of events around, and share of the surroundings that lies within the image
-    both = np.zeros((2, rows, columns), np.float32)
-    density, support = both[0], both[1]
-    support[:] = 1
+    both = np.ones((2, int(y.max() / side) + 1, int(x.max() / side) + 1), np.float32)
+    both[0] = 0
     for k in range(len(x)):
-        density[int(y[k] / side), int(x[k] / side)] += 1
-    floor = np.float32(_DENSITY_FLOOR * len(x) / (rows * columns))
-    smooth(both, taps)
-    size = side / np.sqrt(density / support + floor)
+        both[0, int(y[k] / side), int(x[k] / side)] += 1
+    return both
+
+
+@numba.njit(cache=True, nogil=True)
+def _choose(x: F32, y: F32, on: NDArray[np.bool_], size: F32) -> F32:
+    """Take each event's value (N,) from its density cell's `size`, negative where it is not on."""
+    side = np.float32(_DENSITY_CELL)
     weights = np.empty(len(x), np.float32)
     for k in range(len(x)):
         weight = size[int(y[k] / side), int(x[k] / side)]
