@@ -21,7 +21,7 @@ import numpy as np
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.products import (
@@ -42,7 +42,9 @@ type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
 WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
-_WARM_UP_EVENTS = 20_000
+# Enough windows for a warm start and an earlier scene
+_WARM_UP_WINDOWS, _WARM_UP_LENGTH, _WARM_UP_STRIDE = 5, 90 * NS_PER_MS, 45 * NS_PER_MS
+_WARM_UP_EVENTS = 60_000
 _WARM_UP_SPEED = 200  # px/s
 # The node's own process comes first on a busy machine: else the newest events wait unread.
 _NICE = 10
@@ -121,16 +123,25 @@ class _Worker:
             return _describe(error), {}
 
     def _warm_up(self) -> dict[str, Any]:
-        """Estimate synthetic events once, so that the code is compiled before the first window."""
-        camera = WARM_UP_CAMERA
+        """Estimate synthetic events, so that all code is compiled and loaded before real ones."""
+        from emoflow_ros.core.present_motion import PresentMotion
+
+        camera, config = WARM_UP_CAMERA, Config()
         rng = np.random.default_rng(0)
-        end = 90 * NS_PER_MS
+        end = (_WARM_UP_WINDOWS - 1) * _WARM_UP_STRIDE + _WARM_UP_LENGTH
         t = np.sort(rng.integers(0, end, _WARM_UP_EVENTS))
         dots = rng.integers(0, (camera.width, camera.height), (500, 2))
         x, y = dots[rng.integers(0, len(dots), len(t))].T
         moved = (x + t * _WARM_UP_SPEED // NS_PER_S) % camera.width
         events = Events(moved.astype(np.uint16), y.astype(np.uint16), t, x % 2 == 0)
-        self._make_estimator(camera, Config()).estimate(Window(0, end, events))
+        estimator = self._make_estimator(camera, config)
+        assert isinstance(config.estimator, LatticeConfig)
+        present = PresentMotion(camera, config.estimator)
+        for k in range(_WARM_UP_WINDOWS):
+            begin, end = k * _WARM_UP_STRIDE, k * _WARM_UP_STRIDE + _WARM_UP_LENGTH
+            window = Window(0, end, events[: np.searchsorted(t, end)])
+            present.know(estimator.estimate(window.since(begin)))
+            present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
         return {}
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:

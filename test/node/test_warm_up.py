@@ -1,0 +1,48 @@
+"""The worker's warm-up: nothing is left to compile or to load when real events come."""
+
+import subprocess
+import sys
+
+SCRIPT = """
+import pkgutil
+from importlib import import_module
+
+from numba.core.dispatcher import Dispatcher
+
+import emoflow_ros.core
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.events import NS_PER_MS, WindowSlicer
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.node.worker import _Worker
+from emoflow_ros.simulation.recording import simulate
+
+
+def compiled():
+    return {
+        f"{module}.{name}": len(value.signatures)
+        for _, module, _ in pkgutil.iter_modules(emoflow_ros.core.__path__)
+        if module not in ("contrast_torch", "device_events", "implicit")
+        for name, value in vars(import_module(f"emoflow_ros.core.{module}")).items()
+        if isinstance(value, Dispatcher)
+    }
+
+
+recording = simulate("calm", duration_s=0.9, seed=0)
+assert _Worker(make_estimator)._warm_up() == {}
+before = compiled()
+estimator = make_estimator(recording.camera, Config())
+present = PresentMotion(recording.camera, Config().estimator)
+windows = WindowSlicer(Config().window).push(recording.events)
+for window in windows:
+    present.know(estimator.estimate(window))
+    present.estimate(window.since(window.t_end - 60 * NS_PER_MS))
+assert len(windows) > 8 and sum(before.values()) > 20
+print([name for name, count in compiled().items() if count > before[name]])
+"""
+
+
+def test_real_windows_meet_nothing_that_is_not_compiled():
+    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
