@@ -1,4 +1,4 @@
-"""A contrast's derivatives, summed over the cells of a lattice, and what is made of them."""
+"""A contrast's derivatives, summed within each cell of a lattice, and what is made of them."""
 
 from typing import NamedTuple
 

@@ -135,8 +135,8 @@ def best_rotations(
         for n in range(nodes):
             lx, ly = line[m, n, 0], line[m, n, 1]
             squared[n] = lx * lx + ly * ly + soft * soft
-            scale = 1 / np.sqrt(squared[n])
-            x, y = lx * scale, ly * scale
+            norm = np.sqrt(squared[n])
+            x, y = lx / norm, ly / norm
             side[n] = x * flow[n, 1] - y * flow[n, 0]
             length[n] = x * flow[n, 0] + y * flow[n, 1]
             of_side[n] = _square(-y, x, evidence[n])
@@ -204,7 +204,7 @@ def _add_squares(weight: F64, rows: F64, values: F64, matrix: F64, vector: F64) 
 
 @_compiled
 def _solve(matrix: F64, vector: F64) -> F64:
-    """Solve a symmetric positive definite system (3, 3), by its Cholesky factor."""
+    """Solve a symmetric positive definite system (3, 3), by its Cholesky factor; else NaN."""
     a = np.sqrt(matrix[0, 0])
     b, c = matrix[1, 0] / a, matrix[2, 0] / a
     d = np.sqrt(matrix[1, 1] - b * b)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.cells import Cells
-from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 SIGMA = 1.0  # of the Gaussian that smooths the image, image pixels
-STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: that is the most costly part
+STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: it is costly, and a mean
 
 F32 = NDArray[np.float32]
 
@@ -52,7 +52,7 @@ class ImageContrast(Protocol):
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts.
 
-        They hold until the next call.
+        The arrays are overwritten by the next call.
         """
         ...
 
@@ -66,9 +66,14 @@ class Contrast:
     Args:
         lattice: the flow field's lattice.
         scale: image pixels per sensor pixel.
+
+    Raises:
+        ValueError: the lattice has not two times.
     """
 
     def __init__(self, lattice: Lattice, scale: float) -> None:
+        if lattice.times != TIMES:
+            raise ValueError(f"a contrast needs a lattice of {TIMES} times, not {lattice.times}")
         self.lattice = lattice
         self.scale = scale
         self._area = scale**2  # makes contrasts of all scales alike
@@ -100,8 +105,8 @@ class Contrast:
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts.
 
-        They hold until the next call. With the images I_a of n parts they are those of
-        n / (n - 1) sum_(a < b) I_a . I_b: the contrast of all events without what each part's
+        The arrays are overwritten by the next call. With the images I_a of n parts they are those
+        of n / (n - 1) sum_(a < b) I_a . I_b: the contrast of all events without what each part's
         events make of it among themselves. Seen from the middle of the window the image of all
         events stays in place while the flow changes, so that the events' stiffness alone is the
         right curvature. The image of the other parts moves against an event: by another

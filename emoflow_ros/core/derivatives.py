@@ -1,14 +1,13 @@
 """The contrast's gradient and curvature on the lattice, in numba; see `kernels`.
 
-Sums over the events of one cell, which stay in registers. The compiler makes vector instructions
-of the loops over the events, the reads from the image included, where a loop writes nothing else.
+The sums over a cell's events stay in registers. Loops that write nothing else become vector
+instructions, reads from the image included.
 """
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.kernels import MARGIN
+from emoflow_ros.core.kernels import MARGIN, fast
 from emoflow_ros.core.window_events import CellEvents
 
 F32 = NDArray[np.float32]
@@ -16,10 +15,8 @@ F32 = NDArray[np.float32]
 # Coefficients of 1, f and f^2 in the products of two hats: (1 - f)^2, (1 - f) f and f^2
 _SQUARE = np.array([(1, -2, 1), (0, 1, -1), (0, 0, 1)], np.float32)
 
-_fast = numba.njit(cache=True, fastmath=True, nogil=True)
 
-
-@_fast
+@fast
 def pull(
     events: CellEvents,
     ref: float,
@@ -60,7 +57,7 @@ def pull(
         for k in range(len(s)):
             px, py = x[k] * zoom + shift, y[k] * zoom + shift
             inside = (px >= one) & (py >= one) & (px < last_x) & (py < last_y)
-            px, py = min(max(px, one), last_x), min(max(py, one), last_y)
+            px, py = px if inside else one, py if inside else one
             i, j = np.int32(py), np.int32(px)
             fx, fy = px - np.float32(j), py - np.float32(i)
             at = np.uint32(part[k] * size + i * below + j)
@@ -86,7 +83,7 @@ def pull(
             pulls[b >> 3, b & 7] = np.float32(factor) * sums[b]
 
 
-@_fast
+@fast
 def stiffen(
     events: CellEvents,
     ref: float,
@@ -152,7 +149,7 @@ def stiffen(
         _sum_products(xx[:number], xy[:number], yy[:number], fx, fy, ft, products)
 
 
-@_fast
+@fast
 def _sum_products(xx: F32, xy: F32, yy: F32, fx: F32, fy: F32, ft: F32, sums: F32) -> None:
     """Sum (xx, xy, yy) times the 27 products of two nodes' weights, into (27, 3)."""
     one, nothing = np.float32(1), np.float32(0)

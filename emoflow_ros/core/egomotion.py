@@ -41,7 +41,7 @@ BY_POINTS[:12, :24] = np.concatenate(
 BY_POINTS[12, 24] = 1.0
 
 
-_basis_at = lru_cache(basis)  # asked for few times
+_basis_at = lru_cache(basis)  # called at a few s only; its arrays are shared
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Inner loops of the contrast in numba: warp, vote and what the other parts draw.
 
-Everything is in float32. `derivatives` has the contrast's derivatives.
+Everything is in float32, positions in pixels of the sensor. `derivatives` has the derivatives.
 """
 
 import numba
@@ -12,12 +12,13 @@ from emoflow_ros.core.window_events import CellEvents
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
-MARGIN = 12  # px of the sensor around the image of warped events
+MARGIN = 12  # px around the image of warped events, for those that leave the sensor
 
-_fast = numba.njit(cache=True, fastmath=True, nogil=True)
+# Sums may be taken in any order, but NaN and infinity stay what they are: outside the image.
+fast = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
-@_fast
+@fast
 def warp(events: CellEvents, ref: float, flow: F32, acceleration: F32, out: F32) -> None:
     """Warp events to the time `ref` along the flow, second order in time.
 
@@ -53,15 +54,21 @@ def warp(events: CellEvents, ref: float, flow: F32, acceleration: F32, out: F32)
                     went[k] = came[k] + (middle - s[k]) * u
 
 
-@_fast
+@fast
 def _bilinear(nodes: F32, c: int, r: int, d: int) -> tuple[float, float, float, float]:
-    """Coefficients of 1, x, y and x y of the interpolation in a cell."""
+    """Coefficients of 1, x, y and x y of the interpolation in a cell.
+
+    Args:
+        nodes: (columns, rows, 2) values.
+        c, r: column and row of the cell's first node.
+        d: component, 0 or 1.
+    """
     left, lower = nodes[c, r, d], nodes[c, r + 1, d]
     by_x, lower_by_x = nodes[c + 1, r, d] - left, nodes[c + 1, r + 1, d] - lower
     return left, by_x, lower - left, lower_by_x - by_x
 
 
-@_fast
+@fast
 def shift(x: F32, y: F32, s: F32, u: float, v: float) -> F32:
     """Warp events (N,) each to the middle by a constant flow, px per window; (2, N) px."""
     position = np.empty((2, len(x)), np.float32)
@@ -72,7 +79,7 @@ def shift(x: F32, y: F32, s: F32, u: float, v: float) -> F32:
     return position
 
 
-@_fast
+@fast
 def vote(position: F32, weights: F32, part: I32, scale: float, images: F32) -> None:
     """Add weighted events to images by bilinear voting; the images are cleared first.
 

@@ -29,7 +29,9 @@ class Lattice:
 
     Args:
         width, height: sensor size in pixels.
-        columns, rows, times: nodes along x, y and time, at least 2 each (3 in space).
+        columns, rows: nodes along x and y, at least 3 each.
+        times: nodes in time: 2 for a fit, 1 where a field does not change within the window, more
+            for sampling only.
     """
 
     width: int
@@ -106,16 +108,6 @@ class Lattice:
         result = np.empty((self.columns, self.rows, 2), np.float32)
         material_derivative(flow, self.per_px, result)
         return result
-
-    def sample(
-        self, flow: NDArray[np.float32], points: NDArray[np.float64], s: float
-    ) -> NDArray[np.float32]:
-        """Interpolate a field at points (N, 2) px and time s; constant beyond border and window.
-
-        Returns:
-            (N, 2) px per window.
-        """
-        return bilinear(self.at_time(flow, s), points, self.per_px)
 
     def interpolate(
         self, values: NDArray[np.float64], points: NDArray[np.float64]

@@ -168,7 +168,7 @@ def without_hot_pixels(events: Events, width: int, height: int) -> Events:
 def _not_hot(
     x: NDArray[np.uint16], y: NDArray[np.uint16], width: int, height: int
 ) -> tuple[NDArray[np.bool_], int]:
-    """Mask (N,) of the events that are not of hot pixels, and their number."""
+    """Mask (N,) of the events that are not of hot pixels, and their number; all on the sensor."""
     count = np.zeros((height + 2, width + 2), np.int32)  # a frame spares the border's cases
     for k in range(len(x)):
         count[y[k] + 1, x[k] + 1] += 1
@@ -218,7 +218,10 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
 def _flickering(
     block: NDArray[np.intp], seconds: NDArray[np.float32], on: NDArray[np.bool_], count: int
 ) -> NDArray[np.bool_]:
-    """Tell which of `count` blocks flicker in each part of the time; see `without_flicker`."""
+    """Tell which of `count` blocks flicker in each part of the time; see `without_flicker`.
+
+    The events (N,) are sorted by time, and lie on the sensor.
+    """
     part = np.empty(len(block), np.int8)
     number = np.zeros((_LAMP_PARTS, count), np.int32)
     for k in range(len(block)):

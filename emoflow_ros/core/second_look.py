@@ -28,8 +28,8 @@ F32 = NDArray[np.float32]
 
 _ALL = 1_000_000_000
 # Scale of the image, number of events, times of the flow in the window, steps. With a part of the
-# events in the last ones, or one time, the distance from the estimate says less about its error;
-# full resolution adds nothing.
+# events, or a flow that does not change, in the last steps the distance from the estimate says less
+# about its error; full resolution adds nothing.
 _STEPS = ((0.25, 2_000, 1, 5), (0.5, _ALL, 2, 2))
 SCALES = tuple(scale for scale, _, _, _ in _STEPS)
 

@@ -46,7 +46,10 @@ class CellEvents(NamedTuple):
 
     @classmethod
     def of(cls, x: F32, y: F32, s: F32, weights: F32, lattice: Lattice, parts: int) -> "CellEvents":
-        """Sort events in the order of time, (N,) each; the parts have equal numbers of them."""
+        """Sort events, (N,) each, by cell; they come in the order of time.
+
+        The parts have equal numbers of them.
+        """
         count = len(x)
         cells = (lattice.columns - 1) * (lattice.rows - 1)
         begin = np.zeros(cells + 1, np.int32)
@@ -70,10 +73,10 @@ class WindowEvents:
     y: F32
     s: F32
     weights: F32
+    # Two threads may both sort or thin: the results are equal.
     _sorted: dict[Lattice, CellEvents] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-
     _thinned: dict[int, "WindowEvents"] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -88,7 +91,12 @@ class WindowEvents:
         return cls(x, y, s, _choose(x, y, on, size))
 
     def every(self, step: int) -> "WindowEvents":
-        """Thin out to each step-th event, the same each time; the weights make up for it."""
+        """Thin out to each step-th event; the weights make up for it.
+
+        The result is kept: the same step gives the same object.
+        """
+        if step == 1:
+            return self
         found = self._thinned.get(step)
         if found is None:
             x, y, s, weights = (
@@ -120,7 +128,7 @@ class WindowEvents:
 
 @numba.njit(cache=True, nogil=True)
 def _count(x: F32, y: F32) -> F32:
-    """Count the events of each density cell, (0, rows, columns), beside ones."""
+    """Return (2, rows, columns): the number of events in each density cell, and ones."""
     side = np.float32(_DENSITY_CELL)
     both = np.ones((2, int(y.max() / side) + 1, int(x.max() / side) + 1), np.float32)
     both[0] = 0

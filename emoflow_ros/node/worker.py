@@ -43,7 +43,8 @@ type EstimatorFactory = Callable[[Camera, Config], Estimator]
 WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
 # Enough windows for a warm start and an earlier scene
-_WARM_UP_WINDOWS, _WARM_UP_LENGTH, _WARM_UP_STRIDE = 5, 90 * NS_PER_MS, 45 * NS_PER_MS
+_WARM_UP_LENGTH = 90 * NS_PER_MS
+WARM_UP_ENDS = tuple(_WARM_UP_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
 _WARM_UP_EVENTS = 60_000
 _WARM_UP_SPEED = 200  # px/s
 # The node's own process comes first on a busy machine: else the newest events wait unread.
@@ -128,8 +129,7 @@ class _Worker:
 
         camera, config = WARM_UP_CAMERA, Config()
         rng = np.random.default_rng(0)
-        end = (_WARM_UP_WINDOWS - 1) * _WARM_UP_STRIDE + _WARM_UP_LENGTH
-        t = np.sort(rng.integers(0, end, _WARM_UP_EVENTS))
+        t = np.sort(rng.integers(0, WARM_UP_ENDS[-1], _WARM_UP_EVENTS))
         dots = rng.integers(0, (camera.width, camera.height), (500, 2))
         x, y = dots[rng.integers(0, len(dots), len(t))].T
         moved = (x + t * _WARM_UP_SPEED // NS_PER_S) % camera.width
@@ -137,10 +137,9 @@ class _Worker:
         estimator = self._make_estimator(camera, config)
         assert isinstance(config.estimator, LatticeConfig)
         present = PresentMotion(camera, config.estimator)
-        for k in range(_WARM_UP_WINDOWS):
-            begin, end = k * _WARM_UP_STRIDE, k * _WARM_UP_STRIDE + _WARM_UP_LENGTH
+        for end in WARM_UP_ENDS:
             window = Window(0, end, events[: np.searchsorted(t, end)])
-            present.know(estimator.estimate(window.since(begin)))
+            present.know(estimator.estimate(window.since(end - _WARM_UP_LENGTH)))
             present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
         return {}
 

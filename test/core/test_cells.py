@@ -1,5 +1,7 @@
 """What is made of the cells' sums, against the normal equations that they add up to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,18 @@ def test_they_add_up_to_vector_and_band(cells):
     np.testing.assert_allclose(found, 1 + vector, atol=1e-12)
     for d in range(LATTICE.bandwidth + 1):
         np.testing.assert_allclose(band[: N - d, d], np.diagonal(matrix, -d), atol=1e-12)
+
+
+def test_a_flow_constant_in_time_adds_up_to_half_as_many_unknowns(cells):
+    vector, matrix = equations(cells)
+    same = np.kron(np.eye(NODES), np.tile(np.eye(2), (2, 1)))  # (n, n / 2)
+    still = replace(LATTICE, times=1)
+    found, band = np.zeros(N // 2), np.zeros((N // 2, still.bandwidth + 1))
+    cells.add_still_to(found, band)
+    np.testing.assert_allclose(found, same.T @ vector, atol=1e-5)
+    expected = same.T @ matrix @ same
+    for d in range(still.bandwidth + 1):
+        np.testing.assert_allclose(band[: N // 2 - d, d], np.diagonal(expected, -d), atol=1e-5)
 
 
 def test_node_information_is_that_of_a_flow_constant_in_time(cells):

@@ -186,6 +186,27 @@ def test_one_event_by_hand():
     assert contrast.image.sum() == pytest.approx(3.0, rel=1e-5)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e21])
+@pytest.mark.parametrize("width", [120, 121])
+def test_events_that_a_flow_takes_nowhere_are_left_out(bad, width):
+    """Neither read nor written outside the images, of even and odd widths."""
+    lattice = Lattice(width, 90, 5, 4)
+    events = moving_dots((8, -5))
+    flow = constant(8, -5, lattice)
+    for part in (slice(0, 2), slice(None)):
+        flow[part] = bad
+        for scale in SCALES:
+            contrast = Contrast(lattice, scale)
+            contrast.linearise(events, flow)
+            contrast.sharpen(events, flow)
+    assert contrast.sharpen(events, flow) == 0
+
+
+def test_a_lattice_of_other_times_is_refused():
+    with pytest.raises(ValueError, match="needs a lattice of 2 times, not 3"):
+        Contrast(Lattice(120, 90, 5, 4, 3), 1.0)
+
+
 def test_unlike_polarities_cancel():
     events = WindowEvents(*np.float32([[60, 60], [40, 40], [0.5, 0.5], [1, -1]]))
     assert Contrast(LATTICE, 1.0).score(events, 0.0, 0.0) == 0

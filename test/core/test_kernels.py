@@ -134,6 +134,8 @@ def slow_pull(events, ref, position, potentials, scale):
 
 def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
     cells = Cells.empty(LATTICE.columns, LATTICE.rows)
+    for part in cells:
+        part[:] = 7  # of the last call
     drawn = (events, ref, position, potentials, scale)
     derivatives.pull(*drawn, factor, cells.gradient)
     derivatives.stiffen(*drawn, stride, factor, cells.curvature)

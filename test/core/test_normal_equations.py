@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations, NotPositiveDefiniteError
 
 LATTICE = Lattice(60, 50, 4, 3, 2)
@@ -109,6 +112,17 @@ def test_rows_are_weighted_squares_of_residuals(equations):
         (equations.corner_vector, corner_vector - on_further.T @ residual),
     ):
         np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_smoothness_of_a_flow_constant_in_time_is_that_of_both_times():
+    flow = np.random.default_rng(8).normal(size=(4, 3, 1, 2)).astype(np.float32)
+    config = LatticeConfig()
+    still, both = NormalEquations(replace(LATTICE, times=1), 0), NormalEquations(LATTICE, 0)
+    still.add_smoothness(flow, config)
+    both.add_smoothness(np.repeat(flow, 2, axis=2), config)
+    same = np.kron(np.eye(12), np.tile(np.eye(2), (2, 1)))
+    np.testing.assert_allclose(still.vector, same.T @ both.vector, atol=1e-12)
+    np.testing.assert_allclose(dense(still.band), same.T @ dense(both.band) @ same, atol=1e-9)
 
 
 def test_clear_starts_anew(equations):

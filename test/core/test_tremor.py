@@ -13,7 +13,7 @@ from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.lattice import Lattice, LatticeFlow, bilinear
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.preparation import WorkingImage
@@ -52,7 +52,7 @@ def events(tremor: np.ndarray, points: int = 400, each: int = 25) -> WindowEvent
 
 
 def flow_at(points: np.ndarray, w: np.ndarray) -> np.ndarray:
-    return LATTICE.sample(flow_of(w), points, 0.5).astype(np.float64)
+    return bilinear(LATTICE.at_time(flow_of(w), 0.5), points, LATTICE.per_px).astype(np.float64)
 
 
 def fitted() -> Estimate:

@@ -46,6 +46,8 @@ def test_they_are_sorted_once_for_each_lattice():
     assert given.on(LATTICE) is given.on(Lattice(120, 90, 5, 4))
     assert given.on(LATTICE) is not given.on(Lattice(120, 90, 4, 4))
     assert given.every(2).on(LATTICE) is not given.on(LATTICE)
+    assert given.every(2) is given.every(2)
+    assert given.every(1) is given
 
 
 def test_a_window_without_events_has_empty_cells():

@@ -16,14 +16,14 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.worker import WARM_UP_ENDS
 
-_WARM_UP_NS = (40_000_000, 300_000_000)  # the worker's warm-up ends its windows there, tests do not
 _POISON_X = 7  # a window of events in this column alone triggers the bad behaviour
 
 
 def in_warm_up(window: Window) -> bool:
     """Tell whether it is one of the windows that the worker estimates before it is ready."""
-    return _WARM_UP_NS[0] < window.t_end < _WARM_UP_NS[1]
+    return window.t_end in WARM_UP_ENDS
 
 
 class Recorder:

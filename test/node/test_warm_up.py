@@ -11,7 +11,7 @@ from numba.core.dispatcher import Dispatcher
 
 import emoflow_ros.core
 from emoflow_ros.core.config import Config
-from emoflow_ros.core.events import NS_PER_MS, WindowSlicer
+from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.node.worker import _Worker
@@ -34,10 +34,13 @@ before = compiled()
 estimator = make_estimator(recording.camera, Config())
 present = PresentMotion(recording.camera, Config().estimator)
 windows = WindowSlicer(Config().window).push(recording.events)
+ok = moved = 0
 for window in windows:
-    present.know(estimator.estimate(window))
-    present.estimate(window.since(window.t_end - 60 * NS_PER_MS))
-assert len(windows) > 8 and sum(before.values()) > 20
+    estimate = estimator.estimate(window)
+    present.know(estimate)
+    ok += estimate.status == "ok"
+    moved += present.estimate(window.since(window.t_end - int(SLICE_MS * NS_PER_MS))) is not None
+assert len(windows) > 8 and ok > 5 and moved > 5 and sum(before.values()) > 20
 print([name for name, count in compiled().items() if count > before[name]])
 """
 
