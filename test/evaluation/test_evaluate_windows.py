@@ -42,14 +42,7 @@ def test_window_ms_takes_whole_windows_one_after_another(parse, arguments, expec
     assert windows_of(parse, *arguments) == expected
 
 
-MISSED = pytest.mark.xfail(
-    raises=AssertionError, strict=True, reason="4.001 degrees of 4; claimed to about 4 degrees"
-)
-
-
-@pytest.mark.parametrize(("name", "window_ms"), [
-    ("shapes_rotation", 98), pytest.param("dynamic_rotation", 21, marks=MISSED),
-])  # fmt: skip
+@pytest.mark.parametrize(("name", "window_ms"), [("shapes_rotation", 98), ("dynamic_rotation", 21)])
 def test_axis_of_the_rotation_in_ecd(call, tmp_path, shared_data, name, window_ms):
     """The command that a user types for one short window, on the whole path to the report."""
     folder = shared_data / "ecd" / name
