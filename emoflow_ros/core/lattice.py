@@ -191,11 +191,54 @@ def _advance(
 ) -> NDArray[np.float64]:
     """Carry points (N, 2) px along a field by the midpoint method; see `Lattice.advance`."""
     h = (end - start) / steps
+    x, y = points[:, 0].astype(np.float32), points[:, 1].astype(np.float32)
+    moved, halfway = np.zeros((2, len(x)), np.float32), np.empty((2, len(x)), np.float32)
     for k in range(steps):
         s = start + k * h
-        middle = points + 0.5 * h * bilinear(_at_time(flow, s), points, per_px)
-        points = points + h * bilinear(_at_time(flow, s + 0.5 * h), middle, per_px)
-    return points
+        _step(_at_time(flow, s), per_px, x, y, moved, moved, 0.5 * h, halfway)
+        _step(_at_time(flow, s + 0.5 * h), per_px, x, y, halfway, moved, h, moved)
+    out = np.empty_like(points)
+    for i in range(len(points)):
+        known = np.isfinite(points[i, 0]) and np.isfinite(points[i, 1])
+        for d in range(2):
+            out[i, d] = points[i, d] + moved[d, i] if known else np.nan
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _step(still: F32, per_px: F32, x: F32, y: F32, at: F32, begin: F32, h: float, out: F32) -> None:
+    """Take one step of points: out = begin + h times the field at (x, y) + at.
+
+    Displacements are in float32, and columns apart from rows: twice as fast as points in float64.
+
+    Args:
+        still: (columns, rows, 2) the field, constant beyond its border.
+        per_px: cells per pixel in x and y.
+        x, y: (N,) px.
+        at, begin, out: (2, N) px; `out` is written and may be `begin`.
+        h: length of the step.
+    """
+    columns, rows = still.shape[:2]
+    nodes = np.ascontiguousarray(still).ravel()
+    zero, one, share = np.float32(0), np.float32(1), np.float32(h)
+    last_x, last_y = np.float32(columns - 1), np.float32(rows - 1)
+    last_column, last_row = np.int32(columns - 2), np.int32(rows - 2)
+    u, v = np.uint32(0), np.uint32(1)  # indices without a sign cannot count from the end
+    down, right = np.uint32(2), np.uint32(2 * rows)
+    for i in range(len(x)):
+        px, py = (x[i] + at[0, i]) * per_px[0], (y[i] + at[1, i]) * per_px[1]
+        px, py = px if px > zero else zero, py if py > zero else zero  # NaN becomes 0, too
+        px, py = px if px < last_x else last_x, py if py < last_y else last_y
+        c, r = min(np.int32(px), last_column), min(np.int32(py), last_row)
+        a, b = px - np.float32(c), py - np.float32(r)
+        h11 = a * b
+        h10, h01 = a - h11, b - h11
+        h00 = one - a - h01
+        for d, component in ((0, u), (1, v)):
+            node = np.uint32(np.int32(2) * (c * np.int32(rows) + r)) + component
+            left = h00 * nodes[node] + h01 * nodes[node + down]
+            step = left + h10 * nodes[node + right] + h11 * nodes[node + right + down]
+            out[d, i] = begin[d, i] + share * step
 
 
 @numba.njit(cache=True, nogil=True)

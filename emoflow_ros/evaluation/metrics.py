@@ -27,7 +27,8 @@ Vectors = NDArray[np.float64]
 Flow = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 Values = NDArray[np.float64]
-Statistic = Callable[[Values], float]
+# Of rows along an axis, for all places along the axes before it at once.
+type Statistic = Callable[[Values, int], Any]
 
 # An outlier, in px (%Out of the MVSEC benchmark).
 OUTLIER_PX = 3.0
@@ -138,7 +139,7 @@ def bootstrap_interval(values: Values, statistic: Statistic) -> tuple[float, flo
 
     Args:
         values: (N, ...), the rows that are resampled.
-        statistic: from such rows to the figure.
+        statistic: from such rows and their axis to the figure, for many resamples at once.
 
     Returns:
         Lower and upper end; NaN with fewer than two rows, or where a value is NaN or infinite.
@@ -147,8 +148,8 @@ def bootstrap_interval(values: Values, statistic: Statistic) -> tuple[float, flo
         return float("nan"), float("nan")
     found = bootstrap(
         (np.arange(len(values)),),  # not the values: rows stay whole
-        lambda rows: statistic(values[rows]),
-        vectorized=False,
+        lambda rows, axis: statistic(values[rows], rows.ndim + axis),
+        vectorized=True,
         n_resamples=_RESAMPLES,
         batch=_BATCH,
         method="percentile",  # BCa has no answer where all rows are equal

@@ -192,10 +192,9 @@ class Checkpoint:
         assert isinstance(progress, Progress)
         return progress
 
-    def save_if_due(self, progress: Progress) -> None:
-        """Save every 10 s."""
-        if time.monotonic() - self._saved_at >= PERIOD_S:
-            self.save(progress)
+    def is_due(self) -> bool:
+        """Tell whether it was saved 10 s ago."""
+        return time.monotonic() - self._saved_at >= PERIOD_S
 
     def save(self, progress: Progress) -> None:
         """Replace the file in one step, so that there is always a whole one."""

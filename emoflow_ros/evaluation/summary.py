@@ -237,33 +237,35 @@ def _measure(
     if len(values) == 0:
         return Measure(key, label, float("nan"), unit, float("nan"), float("nan"), 0)
     low, high = bootstrap_interval(values, statistic)
-    return Measure(key, label, float(statistic(values)), unit, low, high, len(values))
+    return Measure(key, label, float(statistic(values, 0)), unit, low, high, len(values))
 
 
-def _root_mean(squares: Values) -> float:
+def _root_mean(squares: Values, axis: int) -> Values:
     """Root of the mean over all windows and axes."""
-    return float(np.sqrt(squares.mean()))
+    return np.sqrt(squares.mean(axis=(axis, -1)))
 
 
-def _mean_root(squares: Values) -> float:
+def _mean_root(squares: Values, axis: int) -> Values:
     """Mean over windows of the root of each window's mean over its axes."""
-    return float(np.sqrt(squares.mean(axis=1)).mean())
+    return np.asarray(np.sqrt(squares.mean(axis=-1)).mean(axis=axis))
 
 
-def _rms(values: Values) -> float:
-    return float(np.sqrt((values**2).mean()))
+def _rms(values: Values, axis: int) -> Values:
+    return np.sqrt((values**2).mean(axis=axis))
 
 
-def _percentile_95(values: Values) -> float:
-    return float(np.percentile(values, 95))
+def _percentile_95(values: Values, axis: int) -> Values:
+    return np.asarray(np.percentile(values, 95, axis=axis))
 
 
-def _percent_of_truth(pairs: Values) -> float:
+def _percent_of_truth(pairs: Values, axis: int) -> Values:
     """Mean error in percent of the mean true length, from (error, length) rows."""
-    error, length = pairs.mean(axis=0)
-    return float(100 * error / length) if length > 0 else float("nan")
+    mean = pairs.mean(axis=axis)
+    error, length = mean[..., 0], mean[..., 1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(length > 0, 100 * error / length, np.nan))
 
 
-def _recorded_per_compute(pairs: Values) -> float:
-    compute, recorded = pairs.sum(axis=0)
-    return float(recorded / compute)
+def _recorded_per_compute(pairs: Values, axis: int) -> Values:
+    total = pairs.sum(axis=axis)
+    return np.asarray(total[..., 1] / total[..., 0])

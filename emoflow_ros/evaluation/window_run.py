@@ -149,8 +149,10 @@ def proceed(
                 ended = time.perf_counter()
                 progress.wall_s += ended - began
                 began = ended
-                if checkpoint is not None:
-                    checkpoint.save_if_due(progress)
+                if checkpoint is not None and checkpoint.is_due():
+                    if writer is not None:
+                        writer.write()
+                    checkpoint.save(progress)
                 bar.set_postfix_str(_progress_line(run), refresh=False)
                 bar.update((window.t_end - (progress.first or 0)) / NS_PER_S - bar.n)
         except KeyboardInterrupt:

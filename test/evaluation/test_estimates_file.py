@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import h5py
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.products import INSTANTS
 from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation import estimates_file
 from emoflow_ros.evaluation.estimates_columns import ADDED, QUALITY
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
 from emoflow_ros.evaluation.metrics import ComparedTracks
@@ -168,15 +171,34 @@ def test_without_flow(tmp_path):
     assert "tracks" not in read_estimates(path).columns
 
 
-def test_complete_after_each_row(tmp_path):
+def test_rows_are_on_disk_a_second_later(tmp_path, monkeypatch):
     """What was appended is on disk although the writer was never closed."""
-    path = tmp_path / "estimates.h5"
+    path, clock = tmp_path / "estimates.h5", SimpleNamespace(monotonic=lambda: now)
+    monkeypatch.setattr(estimates_file, "time", clock)
+
+    def rows():
+        copy = tmp_path / "copy.h5"
+        copy.write_bytes(path.read_bytes())
+        return list(read_estimates(copy).columns["window_events"])
+
+    now = 10.0
     writer = EstimatesWriter(path, camera=CAMERA, source="", configuration={})
     writer.append(estimate(0), 200)
-    copy = tmp_path / "copy.h5"
-    copy.write_bytes(path.read_bytes())
-    assert len(read_estimates(copy)) == 1
+    assert rows() == [200]
+    now = 10.9
+    writer.append(estimate(1), 201)
+    assert rows() == [200]
+    now = 11.0
+    writer.append(estimate(2), 202)
+    assert rows() == [200, 201, 202]
+    writer.append(estimate(3), 203)
+    writer.write()
+    assert rows() == [200, 201, 202, 203]
+    writer.append(estimate(4), 204)
+    writer.truncate(2)
+    writer.append(estimate(5), 205)
     writer.__exit__(None, None, None)
+    assert rows() == [200, 201, 205]
 
 
 def test_other_files_are_refused(tmp_path):

@@ -113,11 +113,16 @@ def test_interval_of_a_normal_mean():
     assert high == pytest.approx(values.mean() + error, abs=0.03)
 
 
+def _ratio(pairs, axis):
+    total = pairs.sum(axis=axis)
+    return total[..., 1] / total[..., 0]
+
+
 def test_rows_are_resampled_whole():
     """The ratio of two columns that are proportional has no spread."""
     column = np.random.default_rng(2).uniform(1, 2, 50)
     rows = np.stack([column, 3 * column], axis=1)
-    interval = bootstrap_interval(rows, lambda pairs: pairs[:, 1].sum() / pairs[:, 0].sum())
+    interval = bootstrap_interval(rows, _ratio)
     assert interval == pytest.approx((3, 3))
 
 
