@@ -80,25 +80,8 @@ class RateLimitedSlicer(WindowSlicer):
         return events[ended:]
 
 
-class BoundedSlicer(RateLimitedSlicer):
-    """Cut a stream into windows as `EventBudget.thin` would thin them.
-
-    Args:
-        budget: with the window policy.
-    """
-
-    def push(self, events: Events) -> list[Window]:
-        """Take the next events of the stream and return the windows they complete.
-
-        Raises:
-            TimeJumpError: as of `WindowSlicer`.
-        """
-        windows = super().push(events)
-        return windows if self.policy.count else [self.budget.bound(w) for w in windows]
-
-
 class BoundedWindows:
-    """Thins windows before they are estimated, as the node does before it sends them.
+    """Thins windows before they are estimated, as the node does: there a stream's rate is limited.
 
     Args:
         estimator: of the thinned windows.

@@ -209,6 +209,7 @@ class EstimatorNode(LifecycleNode):
                 callbacks=Callbacks(
                     topic=pipeline.take_topic,
                     events=pipeline.take_events,
+                    end_turn=pipeline.cut_windows,
                     skip=pipeline.skip,
                     camera_info=pipeline.take_camera_info if pipeline.hears_camera_info else None,
                 ),

@@ -70,6 +70,7 @@ class EventFeed:
         fetch: returns the messages that wait in the middleware.
         length_ns: returns how much event time may wait here, ns.
         take: gets each message, and n where only the first n-th of it is to be decoded, else 1.
+        end_turn: called after the last message of each turn.
         skip: told when messages before the next one are left out.
         statistics: counts the messages that are left out.
         clock: monotonic time in s.
@@ -83,6 +84,7 @@ class EventFeed:
         fetch: Callable[[], Iterable[bytes]],
         length_ns: Callable[[], int],
         take: Callable[[bytes, int], None],
+        end_turn: Callable[[], None],
         skip: Callable[[LeftOut], None],
         statistics: Statistics,
         clock: Callable[[], float] = time.monotonic,
@@ -92,6 +94,7 @@ class EventFeed:
         self._fetch = fetch
         self._length_ns = length_ns
         self._take = take
+        self._end_turn = end_turn
         self._skip = skip
         self._statistics = statistics
         self._clock = clock
@@ -143,6 +146,7 @@ class EventFeed:
             self._take(self._backlog.pop(), part)
             if self._clock() >= end:
                 break
+        self._end_turn()
         if len(self._backlog):
             self._more_waits.trigger()
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from emoflow_ros.core.bounded_windows import BoundedSlicer, RateLimitedSlicer
+from emoflow_ros.core.bounded_windows import RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
-from emoflow_ros.core.events import NS_PER_S, Events, Window
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.backlog import LeftOut, is_jump
 from emoflow_ros.node.diagnostics import Statistics
@@ -18,14 +18,18 @@ from msg_adapters import DecodeError, EventMessage, make_decoder
 
 # A million events as EventArray; a larger message is taken for a malformed one.
 _MAX_BYTES = 16 * 2**20
+# Messages of fewer events are cut together: each cut takes as long as decoding some messages.
+_MOST_TAKEN = 50_000
 
 
 class EventInput:
     """Decodes the messages of one topic and cuts their events into tasks for the worker.
 
+    Give `take` each message, and call `cut` before other work: nothing waits here meanwhile.
+
     Args:
         ros_type: as in `dvs_msgs/msg/EventArray`.
-        budget: how windows are cut, and how many events they may hold.
+        budget: how windows are cut, and how many events the stream may have per time.
         slices: the same of slices of the newest events; None cuts none.
         timestamps: which time the output is stamped with.
         frame_id: the camera's frame; empty takes that of the messages.
@@ -60,12 +64,14 @@ class EventInput:
         self._stamp: int | None = None
         self._last: int | None = None
         self._decoder = make_decoder(ros_type, "cdr")
-        self._slicer = BoundedSlicer(budget)
+        self._slicer = RateLimitedSlicer(budget)
         self._slices = RateLimitedSlicer(slices) if slices else None
-        self._frame_id = frame_id
+        self._own_frame_id, self._frame_id = frame_id, ""
         self._statistics = statistics
         self._warn = warn
         self._clock = ClockMap(timestamps)
+        self._taken: list[Events] = []  # not cut yet
+        self._tasks: list[Task] = []  # since the last call of `cut`
 
     @property
     def camera(self) -> Camera | None:
@@ -91,10 +97,10 @@ class EventInput:
     def set_budget(self, budget: EventBudget) -> None:
         """Cut and thin later events by this one; events of an unfinished window are left out."""
         if budget != self._slicer.budget:
-            self._slicer = BoundedSlicer(budget)
+            self._slicer = RateLimitedSlicer(budget)
 
-    def push(self, data: bytes, part: int = 1) -> list[Task]:
-        """Take one serialised message and return the windows and slices that it completes.
+    def take(self, data: bytes, part: int = 1) -> None:
+        """Take one serialised message.
 
         Args:
             data: the message.
@@ -105,36 +111,36 @@ class EventInput:
             self._size = None  # another recording may be that of another sensor
             message = self._decode(data, part)  # again: it was counted on from before the jump
         if message is None:
-            return []
+            return
         self._stamp = message.stamp
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
         events = self._inside(message)
         if part > 1:
             events = replace(events, stands_for=np.full(len(events), part, np.uint32))
-        received = time.monotonic()
-        before = self._slicer.left_out
-        windows = self._slice(events) if len(events) else None
-        self._statistics.counts["events_thinned"] += self._slicer.left_out - before
-        self._statistics.add_events(0 if windows is None else len(events))
-        if windows is None:
-            return []
-        slices = self._slices.push(events) if self._slices else []
+        if not len(events) or not self._follows(events):
+            self._statistics.add_events(0)
+            return
+        self._statistics.add_events(len(events))
+        self._last = int(events.t[-1])
         self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
-        self._statistics.counts["windows"] += len(windows)
-        frame_id = self._frame_id or message.frame_id
-        middles = [((w.t_start + w.t_end) // 2, w, False) for w in windows]
-        ends = [(w.t_end, w, True) for w in slices[-1:]]
-        return [
-            Task(w, self.epoch, self._clock.offset(t), frame_id, received, is_slice)
-            for t, w, is_slice in middles + ends
-        ]
+        self._frame_id = message.frame_id
+        self._taken.append(events)
+        if sum(map(len, self._taken)) >= _MOST_TAKEN:
+            self._cut()
+
+    def cut(self) -> list[Task]:
+        """Return the windows and slices that the messages taken since the last call complete."""
+        self._cut()
+        tasks, self._tasks = self._tasks, []
+        return tasks
 
     def skip(self, left_out: LeftOut) -> None:
         """Go on behind messages that are left out: no window and no slice reaches over them.
 
         The epoch and the clock map stay unless time jumped meanwhile.
         """
+        self._cut()
         if left_out.jump:
             self._start_epoch(left_out.jump)
             self._size = None
@@ -169,6 +175,7 @@ class EventInput:
 
     def _start_epoch(self, step: int) -> None:
         """Start the next epoch after a step of time (ns): forget what was before it."""
+        self._cut()
         self.epoch += 1
         way = "back" if step < 0 else "forward"
         self.jump = f"event time went {way} by {abs(step) / NS_PER_S:.3f} s"
@@ -179,6 +186,7 @@ class EventInput:
         self._reset_slicers()
 
     def _reset_slicers(self) -> None:
+        self._taken.clear()
         self._slicer.reset()
         if self._slices:
             self._slices.reset()
@@ -212,23 +220,41 @@ class EventInput:
             f"{events} do not fit the calibration of a {size} one; give this sensor's calibration"
         )
 
-    def _slice(self, events: Events) -> list[Window] | None:
-        """Return the windows that a message completes, None where it is left out."""
+    def _follows(self, events: Events) -> bool:
+        """Tell whether a message's events are in order; after a jump they start an epoch."""
         if (events.t[1:] < events.t[:-1]).any():
             self._leave_out("event times within it are out of order")
-            return None
+            return False
         if is_jump(int(events.t[-1] - events.t[0])):
             self._leave_out("event times jump within it")
-            return None
+            return False
         step = 0 if self._last is None else int(events.t[0]) - self._last
         if is_jump(step):
             self._start_epoch(step)
         elif step < 0:
             self._leave_out(f"event time went back by {-step / NS_PER_S:.6f} s")
-            return None
+            return False
+        return True
+
+    def _cut(self) -> None:
+        """Make tasks of the windows and of the newest slice that end in the events taken."""
+        if not self._taken:
+            return
+        events = Events.concatenate(self._taken)
+        self._taken.clear()
+        received = time.monotonic()
+        before = self._slicer.left_out
         windows = self._slicer.push(events)
-        self._last = int(events.t[-1])
-        return windows
+        slices = self._slices.push(events) if self._slices else []
+        self._statistics.counts["events_thinned"] += self._slicer.left_out - before
+        self._statistics.counts["windows"] += len(windows)
+        frame_id = self._own_frame_id or self._frame_id
+        middles = [((w.t_start + w.t_end) // 2, w, False) for w in windows]
+        ends = [(w.t_end, w, True) for w in slices[-1:]]
+        self._tasks += [
+            Task(w, self.epoch, self._clock.offset(t), frame_id, received, is_slice)
+            for t, w, is_slice in middles + ends
+        ]
 
     def _leave_out(self, reason: str) -> None:
         self._statistics.counts["unordered_messages"] += 1

@@ -42,12 +42,14 @@ class Callbacks:
     Attributes:
         topic: told which topic was found; again if it turns out to be another one.
         events: each serialised event message, and n where only its first n-th is to be decoded.
+        end_turn: called after some messages, before the executor runs other callbacks.
         skip: told when messages before the next one are left out.
         camera_info: each calibration; None if the node has one.
     """
 
     topic: Callable[[EventTopic], None]
     events: Callable[[bytes, int], None]
+    end_turn: Callable[[], None]
     skip: Callable[[LeftOut], None]
     camera_info: Callable[[CameraInfo], None] | None
 
@@ -183,6 +185,7 @@ class EventSource:
             fetch=lambda: fetch_waiting(subscription, _EVENT_DEPTH),
             length_ns=self._length_ns,
             take=self._take_events,
+            end_turn=self._callbacks.end_turn,
             skip=self._callbacks.skip,
             statistics=self._statistics,
         )

@@ -168,19 +168,28 @@ class Pipeline:
         """Take a serialised message of the topic, or the first 1/part of its events."""
         if self._input is None:
             return
-        tasks = self._input.push(data, part)
+        self._input.take(data, part)
         if self._input.encoding and not self._encoding:
             self._encoding = self._input.encoding
             self._node.get_logger().info(f"events are encoded as {self._encoding}")
+
+    def cut_windows(self) -> None:
+        """Hand on what the messages taken so far complete."""
+        if self._input is None:
+            return
+        tasks = self._input.cut()
         if self._input.epoch != self._epoch:
             self._epoch = self._input.epoch
             self._forget_waiting()
             line = f"{self._input.jump}: the estimation starts anew"
             self._node.get_logger().info(line, throttle_duration_sec=_THROTTLE_S)
-        if tasks and self.imu is not None:
-            self.imu.push(tasks)
-        elif tasks:
-            self._hand_on(tasks)
+        recent = [task for task in tasks if task.epoch == self._epoch]
+        forgotten = sum(not task.is_slice for task in tasks) - sum(not t.is_slice for t in recent)
+        self.statistics.counts["windows_forgotten"] += forgotten
+        if recent and self.imu is not None:
+            self.imu.push(recent)
+        elif recent:
+            self._hand_on(recent)
 
     def skip(self, left_out: LeftOut) -> None:
         """Go on behind messages that are left out, as `EventInput.skip` does."""

@@ -170,10 +170,10 @@ class Supervisor:
     def _serve(self, job: Job) -> None:
         if (job.camera, job.config) != self._configured:
             self._configure(job.camera, job.config)
-        task, window = job.task, job.task.window
+        task = job.task
         cold = task.epoch != self._epoch
         self._epoch = task.epoch
-        interval, columns = pack_window(window)
+        interval, columns = pack_window(job.window)
         header, arrays = self._request(
             {"kind": "window", **interval, "cold": cold, "wishes": asdict(job.wishes)}, columns
         )

@@ -13,6 +13,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, PresentTwist
 from emoflow_ros.core.events import Window
+from emoflow_ros.core.thinning import EventBudget
 
 type Arrays = dict[str, NDArray[Any]]
 
@@ -81,6 +82,15 @@ class Job:
     camera: Camera
     config: Config
     wishes: Wishes = field(default_factory=Wishes)
+
+    @property
+    def window(self) -> Window:
+        """The task's window with no more events than the estimator may use.
+
+        It is not taken before the worker is free: thinning takes longer than decoding.
+        """
+        config = self.config
+        return EventBudget(config.window, config.estimator.max_events).bound(self.task.window)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emoflow_ros.core.bounded_windows import (
-    BoundedSlicer,
     BoundedWindows,
     DistinctEvents,
     RateLimitedSlicer,
@@ -61,9 +60,9 @@ def test_thinning_on_the_way_gives_the_thinned_windows(seed, policy, max_events,
     events = stream(10_000, seed)
     budget = EventBudget(policy, max_events)
     expected = [budget.thin(window) for window in WindowSlicer(policy).push(events)]
-    slicer, windows = BoundedSlicer(budget), []
+    slicer, windows = RateLimitedSlicer(budget), []
     for part in np.split(np.arange(len(events)), np.minimum(np.cumsum(sizes), len(events))):
-        windows += slicer.push(events[part])
+        windows += [budget.bound(window) for window in slicer.push(events[part])]
     assert_same(windows, expected)
     assert len(windows) > 2
     assert slicer.left_out > 0 or max_events == 4000
@@ -95,14 +94,14 @@ def test_limiting_the_rate_on_the_way_limits_that_of_the_windows(seed, policy, b
 def test_windows_come_with_the_event_that_completes_them():
     policy = WindowPolicy(duration_ms=10.0, stride_ms=5.0)
     events = stream(10_000, 1)
-    plain, bounded = WindowSlicer(policy), BoundedSlicer(EventBudget(policy, 100))
+    plain, limited = WindowSlicer(policy), RateLimitedSlicer(EventBudget(policy, 100))
     for i in range(0, len(events), 50):
         part = events[i : i + 50]
-        assert [w.t_end for w in bounded.push(part)] == [w.t_end for w in plain.push(part)]
+        assert [w.t_end for w in limited.push(part)] == [w.t_end for w in plain.push(part)]
 
 
 def test_what_is_left_out_is_counted_and_not_kept():
-    slicer = BoundedSlicer(EventBudget(BY_MOTION, 2000))  # 200 per ms
+    slicer = RateLimitedSlicer(EventBudget(BY_MOTION, 2000))  # 200 per ms
     rng = np.random.default_rng(0)
     kept = 0
     for ms in range(29):
@@ -117,14 +116,14 @@ def test_what_is_left_out_is_counted_and_not_kept():
 
 def test_windows_by_count_are_not_thinned():
     policy = WindowPolicy(count=3000)
-    slicer = BoundedSlicer(EventBudget(policy, 100))
+    slicer = RateLimitedSlicer(EventBudget(policy, 100))
     windows = slicer.push(stream(10_000, 2))
     assert [len(w.events) for w in windows] == [3000] * 3
     assert slicer.left_out == 0
 
 
 def test_a_jump_back_keeps_nothing_and_the_next_stream_is_cut_anew():
-    slicer = BoundedSlicer(EventBudget(POLICIES[1], 400))
+    slicer = RateLimitedSlicer(EventBudget(POLICIES[1], 400))
     events = stream(10_000, 3)
     slicer.push(events)
     with pytest.raises(TimeJumpError):
@@ -132,7 +131,7 @@ def test_a_jump_back_keeps_nothing_and_the_next_stream_is_cut_anew():
     left_out = slicer.left_out
     slicer.reset()
     windows = slicer.push(events)
-    assert_same(windows, BoundedSlicer(slicer.budget).push(events))
+    assert_same(windows, RateLimitedSlicer(slicer.budget).push(events))
     assert slicer.left_out == 2 * left_out > 0
 
 
@@ -171,7 +170,8 @@ def test_an_estimator_gets_what_the_node_would_send_it():
     offline = BoundedWindows(seen, budget)
     for window in WindowSlicer(BY_MOTION).push(events):
         assert offline.estimate(window).status is Status.NO_MOTION
-    assert_same(seen.windows, BoundedSlicer(budget).push(events))
+    limited = RateLimitedSlicer(budget).push(events)
+    assert_same(seen.windows, [budget.bound(window) for window in limited])
     assert max(len(w.events) for w in seen.windows) <= budget.capacity < 3000
     offline.reset()
     assert seen.resets == 1

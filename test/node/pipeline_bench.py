@@ -57,6 +57,7 @@ class PipelineBench:
             zero = np.zeros(1, np.uint16)
             events = Events(zero, zero, np.array([t * MS]), zero.astype(bool))
             self.pipeline.take_events(ENCODER.events(t * MS, camera, events))
+            self.pipeline.cut_windows()
 
     def calibrate(self, camera: Camera = CAMERA) -> None:
         data = ENCODER.camera_info(0, camera)

@@ -34,12 +34,14 @@ class Bench:
         self.parts: list[int] = []
         self.waiting: list[bytes] = []
         self.done: list[bytes | LeftOut] = []
+        self.turns: list[int] = []  # length of `done` at the end of each
         self.feed = EventFeed(
             self.graph,  # type: ignore[arg-type]
             "/cam/events",
             fetch=self._fetch,
             length_ns=lambda: LENGTH_NS,
             take=self._take,
+            end_turn=lambda: self.turns.append(len(self.done)),
             skip=self.done.append,
             statistics=self.statistics,
             clock=lambda: self.now,
@@ -83,6 +85,7 @@ def test_turn_ends_after_5_ms_and_the_rest_comes_in_later_ones() -> None:
     assert bench.done == sent[:6]
     assert bench.run() == 1
     assert bench.done == sent
+    assert bench.turns == [3, 6, 8]
     assert bench.statistics.counts["messages_skipped"] == 0
 
 
@@ -242,6 +245,7 @@ def test_executor_publishes_results_between_the_turns_and_comes_back() -> None:
             fetch=fetch,
             length_ns=lambda: LENGTH_NS,
             take=take,
+            end_turn=lambda: None,
             skip=pytest.fail,
             statistics=Statistics(),
         )

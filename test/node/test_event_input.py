@@ -8,6 +8,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.events import Events, WindowPolicy
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.node import event_input
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.simulation.messages import EVENT_ARRAY, MessageEncoder
@@ -44,11 +45,21 @@ class Bench:
         camera: Camera = CAMERA,
         part: int = 1,
     ) -> list[Any]:
+        self.take(*times_ms, stamp_ms=stamp_ms, camera=camera, part=part)
+        return self.input.cut()
+
+    def take(
+        self,
+        *times_ms: float,
+        stamp_ms: float | None = None,
+        camera: Camera = CAMERA,
+        part: int = 1,
+    ) -> None:
         t = np.array([round(ms * MS) for ms in times_ms], np.int64)
         zeros = np.zeros(len(t), np.uint16)
         events = Events(zeros, zeros, t, zeros.astype(bool))
         stamp = round((times_ms[0] if stamp_ms is None else stamp_ms) * MS)
-        return self.input.push(self._encoder.events(stamp, camera, events), part)
+        self.input.take(self._encoder.events(stamp, camera, events), part)
 
 
 def event_packet(encoding: str, payload: bytes) -> bytes:
@@ -158,8 +169,38 @@ def test_jump_within_a_message_leaves_it_out(bench: Bench, late_ms: int) -> None
     assert (len(task.window.events), bench.input.epoch) == (2, 0)
 
 
+def test_messages_that_are_cut_together_make_the_same_windows(monkeypatch: Any) -> None:
+    """Two windows and the newest slice, whether messages are cut one by one or at once."""
+    slices = EventBudget(WindowPolicy(duration_ms=4.0, stride_ms=2.0), 30_000)
+    for most in (1, 50_000):
+        monkeypatch.setattr(event_input, "_MOST_TAKEN", most)
+        bench = Bench(slices=slices)
+        for t in range(1000, 1024, 2):
+            bench.take(t, t + 1, part=2 if t % 4 else 1)
+        bench.input.take(b"malformed")
+        tasks = bench.input.cut()
+        windows = [task.window for task in tasks if not task.is_slice]
+        assert [w.t_start // MS for w in windows] == [1000, 1010]
+        assert [w.events.came for w in windows] == [10, 10]
+        newest = [task.window for task in tasks if task.is_slice][-1]
+        assert (newest.t_end // MS, newest.events.came) == (1022, 4)
+        assert bench.statistics.counts["windows"] == 2
+        assert bench.input.cut() == []
+
+
+def test_jump_among_messages_that_are_cut_together(bench: Bench) -> None:
+    """No window holds events of both sides; each task knows its epoch."""
+    for t in (5000, 5004, 5012, 1000, 1004, 1012):
+        bench.take(t)
+    first, second = bench.input.cut()
+    assert (first.epoch, first.window.t_start, len(first.window.events)) == (0, 5000 * MS, 2)
+    assert (second.epoch, second.window.t_start, len(second.window.events)) == (1, 1000 * MS, 2)
+    assert first.time_offset == second.time_offset == 0
+
+
 def test_malformed_message_is_counted_and_said(bench: Bench) -> None:
-    assert bench.input.push(b"\x00\x01\x00\x00\x07") == []
+    bench.input.take(b"\x00\x01\x00\x00\x07")
+    assert bench.input.cut() == []
     assert bench.statistics.counts["malformed_messages"] == 1
     assert "malformed" in bench.warnings[0]
 
@@ -232,5 +273,5 @@ def test_encoding_is_known_from_the_first_packet(bench: Bench) -> None:
         warn=bench.warnings.append,
     )
     assert packets.encoding == ""
-    packets.push(event_packet("mono", bytes(8)))
+    packets.take(event_packet("mono", bytes(8)))
     assert packets.encoding == "mono"

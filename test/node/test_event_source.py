@@ -38,7 +38,9 @@ class Bench:
             obstacle=lambda: self.obstacle,
             is_used=lambda: self.used,
             length_ns=lambda: LENGTH_NS,
-            callbacks=Callbacks(self._take, self._receive, self.skips.append, lambda info: None),
+            callbacks=Callbacks(
+                self._take, self._receive, lambda: None, self.skips.append, lambda info: None
+            ),
             statistics=self.statistics,
         )
 

@@ -58,7 +58,8 @@ class Packets:
             payload = evt3(Events(zeros, zeros, t, zeros.astype(bool))).tobytes()
             stamp = (ms + ahead_ms) * MS
             packet = event_packet(payload, "evt3", size=SIZE, stamp=stamp, seq=ms // 5)
-            tasks += self.input.push(packet)
+            self.input.take(packet)
+            tasks += self.input.cut()
         return tasks
 
 

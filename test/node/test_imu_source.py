@@ -72,6 +72,7 @@ class Bench:
             zero = np.zeros(1, np.uint16)
             events = Events(zero, zero, np.array([ms * MS]), zero.astype(bool))
             self.pipeline.take_events(ENCODER.events(ms * MS, CAMERA, events))
+            self.pipeline.cut_windows()
 
     def imu(self, first_ms: int, last_ms: int) -> None:
         assert self.pipeline.imu is not None
@@ -220,6 +221,7 @@ def test_the_node_gives_windows_the_readings_that_they_have_offline(monkeypatch)
             all_readings.append((stamp, w))
             bench.node.sent.append(ENCODER.imu(stamp, ImuSample(w, np.zeros(3))))
         bench.pipeline.take_events(ENCODER.events(ms * MS, CAMERA, events))
+        bench.pipeline.cut_windows()
         all_events.append(events)
         jobs += bench.supervisor.jobs()
     config = bench.settings.config

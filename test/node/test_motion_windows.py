@@ -4,12 +4,14 @@ import time
 
 import numpy as np
 
+from emoflow_ros.core.bounded_windows import RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowSlicer
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Present, Result, Task
 
@@ -40,7 +42,8 @@ def moving_dots() -> Events:
 
 
 def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() -> None:
-    windows = WindowSlicer(CONFIG.window).push(moving_dots())
+    budget = EventBudget(CONFIG.window, CONFIG.estimator.max_events)
+    windows = RateLimitedSlicer(budget).push(moving_dots())
     estimator = make_estimator(CAMERA, CONFIG)
     expected = [estimator.estimate(window) for window in windows]
     assert [e.status for e in expected] == [Status.OK] * 7
@@ -67,7 +70,8 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
 
 
 def test_the_worker_estimates_the_motion_of_now_as_it_is_estimated_without_it() -> None:
-    windows = WindowSlicer(CONFIG.window).push(moving_dots())
+    budget = EventBudget(CONFIG.window, CONFIG.estimator.max_events)
+    windows = RateLimitedSlicer(budget).push(moving_dots())
     estimator, present = make_estimator(CAMERA, CONFIG), PresentMotion(CAMERA, CONFIG.estimator)
     estimates = [estimator.estimate(window) for window in windows]
     present.know(estimates[-1])

@@ -132,7 +132,8 @@ def test_message_beyond_the_bound_is_left_out_unread() -> None:
         statistics=statistics,
         warn=warnings.append,
     )
-    assert events.push(bytes(2**24 + 1)) == []
+    events.take(bytes(2**24 + 1))
+    assert events.cut() == []
     assert statistics.counts["malformed_messages"] == 1
     assert warnings == ["a malformed message is left out: 16777217 bytes, more than 16777216"]
 

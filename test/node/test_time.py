@@ -54,7 +54,8 @@ class Stream:
             t = (t_ms + np.arange(5)) * MS
             zeros = np.zeros(5, np.uint16)
             events = Events(zeros, zeros, t, zeros.astype(bool))
-            tasks += self.input.push(self._message(events, round((t_ms + ahead_ms) * MS)))
+            self.input.take(self._message(events, round((t_ms + ahead_ms) * MS)))
+            tasks += self.input.cut()
         return tasks
 
     def _message(self, events: Events, stamp: int) -> bytes:
