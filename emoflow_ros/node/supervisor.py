@@ -217,9 +217,20 @@ class Supervisor:
             raise WorkerDiedError("stopped")
 
     def _warm_up(self) -> None:
+        """Warm the worker up; one that had to compile is replaced by one that has not.
+
+        The compiler's memory, more than the estimation takes, would stay with the process.
+        """
+        if self._ask_to_warm_up().get("compiled"):
+            self._end_worker()
+            self._start_worker()
+            self._ask_to_warm_up()
+
+    def _ask_to_warm_up(self) -> dict[str, Any]:
         answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)
         if "error" in answer:
             raise WorkerDiedError(f"the worker cannot be started: {answer['error']}")
+        return answer
 
     def _request(
         self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None

@@ -5,6 +5,8 @@ another one a thread of its own answers slices while a window is estimated. The 
 node's end of the first channel closes.
 """
 
+import contextlib
+import ctypes
 import importlib
 import os
 import signal
@@ -51,6 +53,7 @@ _WARM_UP_SPEED = 200  # px/s
 _NICE = 10
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
+_M_ARENA_MAX = -8  # of glibc's mallopt
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast
 
 
@@ -66,11 +69,18 @@ def serve(connection: Connection, slices: Connection, factory: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(_SWITCH_S)
     os.nice(_NICE)
+    _share_memory()
     module, _, function = factory.partition(":")
     worker = _Worker(getattr(importlib.import_module(module), function))
     beside = (Channel(slices), worker.answer_slice)
     threading.Thread(target=_answer_all, args=beside, name="slices", daemon=True).start()
     _answer_all(Channel(connection), worker.answer)
+
+
+def _share_memory() -> None:
+    """Let all threads allocate from one arena: each of several would keep what it has freed."""
+    with contextlib.suppress(AttributeError):  # another C library than glibc
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def _answer_all(
@@ -124,7 +134,13 @@ class _Worker:
             return _describe(error), {}
 
     def _warm_up(self) -> dict[str, Any]:
-        """Estimate synthetic events, so that all code is compiled and loaded before real ones."""
+        """Estimate synthetic events, so that all code is compiled and loaded before real ones.
+
+        Returns:
+            `compiled`: whether anything was compiled, and not found on disk.
+        """
+        from numba.core import event
+
         from emoflow_ros.core.present_motion import PresentMotion
 
         camera, config = WARM_UP_CAMERA, Config()
@@ -137,11 +153,12 @@ class _Worker:
         estimator = self._make_estimator(camera, config)
         assert isinstance(config.estimator, LatticeConfig)
         present = PresentMotion(camera, config.estimator)
-        for end in WARM_UP_ENDS:
-            window = Window(0, end, events[: np.searchsorted(t, end)])
-            present.know(estimator.estimate(window.since(end - _WARM_UP_LENGTH)))
-            present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
-        return {}
+        with event.install_recorder("numba:compile") as compilations:
+            for end in WARM_UP_ENDS:
+                window = Window(0, end, events[: np.searchsorted(t, end)])
+                present.know(estimator.estimate(window.since(end - _WARM_UP_LENGTH)))
+                present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
+        return {"compiled": bool(compilations.buffer)}
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:
         camera = Camera(**header["camera"] | {"distortion": tuple(header["camera"]["distortion"])})

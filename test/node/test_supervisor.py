@@ -4,6 +4,7 @@ import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from supervisor_bench import CAMERA, Bench
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.products import flow_to_rgb
+from emoflow_ros.node import supervisor
 from emoflow_ros.node.tasks import Loss, Picture, Wishes
+from emoflow_ros.node.worker_process import WorkerProcess
 
 
 def test_windows_go_through_the_worker_unchanged(bench: Callable[..., Bench]) -> None:
@@ -44,6 +47,28 @@ def test_pictures_come_only_when_wished_for(bench: Callable[..., Bench]) -> None
     np.testing.assert_array_equal(pictures[Picture.COLOR], flow_to_rgb(flow, 100.0))
     assert pictures[Picture.EVENTS][0, 3] == 255
     assert np.count_nonzero(pictures[Picture.EVENTS]) == 1
+
+
+def test_worker_that_had_to_compile_is_replaced_once(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The replacement is kept, although this one compiles, too."""
+    started = []
+
+    class Counted(WorkerProcess):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args)
+            started.append(self.pid)
+
+    monkeypatch.setattr(supervisor, "WorkerProcess", Counted)
+    for factory, count in (("Compiler", 2), ("Recorder", 1)):
+        started.clear()
+        b = bench(factory)
+        b.put()
+        answered = b.result().estimate.angular[0]
+        assert len(started) == count
+        assert b.supervisor.pid == started[-1]
+        assert factory == "Recorder" or answered == started[-1]
 
 
 def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:
