@@ -217,6 +217,13 @@ class WindowSlicer:
         self._last: int | None = None
         self._start: int | None = None
 
+    @property
+    def next_end(self) -> int | None:
+        """Time from which on an event completes a window, ns; None where only a push can tell."""
+        if self.policy.count or self._start is None:
+            return None
+        return self._start + self.policy.duration_ns
+
     def push(self, events: Events) -> list[Window]:
         """Take the next events of the stream and return the windows they complete.
 

@@ -1,5 +1,6 @@
 """The file `estimates.h5`: one row per window. docs/estimates_file.md is its description."""
 
+import contextlib
 import dataclasses
 import json
 import time
@@ -31,13 +32,16 @@ from emoflow_ros.evaluation.metrics import ComparedTracks
 
 FORMAT = "emoflow_ros/estimates"
 VERSION = 1
-_PERIOD_S = 1.0  # rows are written together: each time takes 2 ms
+# Rows are written together: each time takes 2 ms.
+_PERIOD_S = 1.0
+_MOST_ROWS, _MOST_BYTES = 64, 16 * 2**20  # that wait: a dense flow has megabytes
 
 
 class EstimatesWriter:
     """Write estimates row by row. Use as a context manager.
 
-    The file is always whole, and what it lacks of the rows was added in the last second.
+    A row is written at once, unless others were within the second before: it then waits for the
+    next one, or for the end.
 
     Args:
         path: the file.
@@ -135,32 +139,54 @@ class EstimatesWriter:
             values["tracks"] = tracks.positions
             values["track_times_ns"] = tracks.times
             values["track_id"] = tracks.ids
-        self._waiting.append(values | dict(more or {}))
-        if time.monotonic() - self._written_at >= _PERIOD_S:
+        row = {
+            name: value if isinstance(value, str) else np.asarray(value, self._datasets[name].dtype)
+            for name, value in (values | dict(more or {})).items()
+        }
+        self._waiting.append(row)
+        size = len(self._waiting) * sum(np.asarray(value).nbytes for value in row.values())
+        is_much = len(self._waiting) >= _MOST_ROWS or size >= _MOST_BYTES
+        if is_much or time.monotonic() - self._written_at >= _PERIOD_S:
             self.write()
 
     def write(self) -> None:
-        """Write all rows that wait."""
-        if self._waiting:
-            end = self._rows + len(self._waiting)
-            for name in self._waiting[0]:
-                dataset = self._datasets[name]
-                rows = np.empty((len(self._waiting), *dataset.shape[1:]), dataset.dtype)
-                for row, values in enumerate(self._waiting):
-                    rows[row] = values[name]
-                dataset.resize(end, axis=0)
-                dataset[self._rows :] = rows
-            self._rows = end
-            self._waiting.clear()
-            self._file.flush()
+        """Write all rows that wait.
+
+        Raises:
+            OSError: the file cannot hold them, and keeps those before.
+        """
         self._written_at = time.monotonic()
+        if not self._waiting:
+            return
+        try:
+            self._extend()
+            self._file.flush()
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._cut_to(self._rows)
+            raise
+        self._rows += len(self._waiting)
+        self._waiting.clear()
+
+    def _extend(self) -> None:
+        end = self._rows + len(self._waiting)
+        for name in self._waiting[0]:
+            dataset = self._datasets[name]
+            rows = np.empty((len(self._waiting), *dataset.shape[1:]), dataset.dtype)
+            for row, values in enumerate(self._waiting):
+                rows[row] = values[name]
+            dataset.resize(end, axis=0)
+            dataset[self._rows :] = rows
+
+    def _cut_to(self, rows: int) -> None:
+        for dataset in self._datasets.values():
+            dataset.resize(rows, axis=0)
 
     def truncate(self, rows: int) -> None:
         """Keep the first `rows` windows, which have to be there, and remove all others."""
         self.write()
         self._rows = rows
-        for dataset in self._datasets.values():
-            dataset.resize(rows, axis=0)
+        self._cut_to(rows)
 
     def __enter__(self) -> Self:
         return self
@@ -171,8 +197,11 @@ class EstimatesWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        # A second error would hide the first one.
+        hide = contextlib.suppress(OSError) if error else contextlib.nullcontext()
         try:
-            self.write()
+            with hide:
+                self.write()
         finally:
             self._file.close()
 

@@ -18,7 +18,8 @@ from msg_adapters import DecodeError, EventMessage, make_decoder
 
 # A million events as EventArray; a larger message is taken for a malformed one.
 _MAX_BYTES = 16 * 2**20
-# Messages of fewer events are cut together: each cut takes as long as decoding some messages.
+# Messages between two ends of windows are cut together, up to so many events: each cut takes as
+# long as decoding some messages.
 _MOST_TAKEN = 50_000
 
 
@@ -71,7 +72,7 @@ class EventInput:
         self._warn = warn
         self._clock = ClockMap(timestamps)
         self._taken: list[Events] = []  # not cut yet
-        self._tasks: list[Task] = []  # since the last call of `cut`
+        self._tasks: list[list[Task]] = []  # since the last call of `cut`
 
     @property
     def camera(self) -> Camera | None:
@@ -126,11 +127,16 @@ class EventInput:
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
         self._frame_id = message.frame_id
         self._taken.append(events)
-        if sum(map(len, self._taken)) >= _MOST_TAKEN:
+        end = self._slicer.next_end
+        is_complete = end is None or self._last >= end
+        if is_complete or sum(map(len, self._taken)) >= _MOST_TAKEN:
             self._cut()
 
-    def cut(self) -> list[Task]:
-        """Return the windows and slices that the messages taken since the last call complete."""
+    def cut(self) -> list[list[Task]]:
+        """Return the windows and slices that the messages taken since the last call complete.
+
+        Tasks that one message completes stand together.
+        """
         self._cut()
         tasks, self._tasks = self._tasks, []
         return tasks
@@ -237,7 +243,7 @@ class EventInput:
         return True
 
     def _cut(self) -> None:
-        """Make tasks of the windows and of the newest slice that end in the events taken."""
+        """Make tasks of what the last one of the taken messages completes: windows and a slice."""
         if not self._taken:
             return
         events = Events.concatenate(self._taken)
@@ -251,10 +257,12 @@ class EventInput:
         frame_id = self._own_frame_id or self._frame_id
         middles = [((w.t_start + w.t_end) // 2, w, False) for w in windows]
         ends = [(w.t_end, w, True) for w in slices[-1:]]
-        self._tasks += [
+        tasks = [
             Task(w, self.epoch, self._clock.offset(t), frame_id, received, is_slice)
             for t, w, is_slice in middles + ends
         ]
+        if tasks:
+            self._tasks.append(tasks)
 
     def _leave_out(self, reason: str) -> None:
         self._statistics.counts["unordered_messages"] += 1

@@ -177,19 +177,20 @@ class Pipeline:
         """Hand on what the messages taken so far complete."""
         if self._input is None:
             return
-        tasks = self._input.cut()
+        groups = self._input.cut()
         if self._input.epoch != self._epoch:
             self._epoch = self._input.epoch
             self._forget_waiting()
             line = f"{self._input.jump}: the estimation starts anew"
             self._node.get_logger().info(line, throttle_duration_sec=_THROTTLE_S)
-        recent = [task for task in tasks if task.epoch == self._epoch]
-        forgotten = sum(not task.is_slice for task in tasks) - sum(not t.is_slice for t in recent)
-        self.statistics.counts["windows_forgotten"] += forgotten
-        if recent and self.imu is not None:
-            self.imu.push(recent)
-        elif recent:
-            self._hand_on(recent)
+        for tasks in groups:  # each of one epoch
+            if tasks[0].epoch != self._epoch:
+                windows = sum(not task.is_slice for task in tasks)
+                self.statistics.counts["windows_forgotten"] += windows
+            elif self.imu is not None:
+                self.imu.push(tasks)
+            else:
+                self._hand_on(tasks)
 
     def skip(self, left_out: LeftOut) -> None:
         """Go on behind messages that are left out, as `EventInput.skip` does."""

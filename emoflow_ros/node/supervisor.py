@@ -222,9 +222,12 @@ class Supervisor:
         The compiler's memory, more than the estimation takes, would stay with the process.
         """
         if self._ask_to_warm_up().get("compiled"):
+            configured = self._configured
             self._end_worker()
             self._start_worker()
             self._ask_to_warm_up()
+            if configured is not None:  # by `check`
+                self._configure(*configured)
 
     def _ask_to_warm_up(self) -> dict[str, Any]:
         answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)

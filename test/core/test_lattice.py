@@ -115,6 +115,32 @@ def test_advance_there_and_back_is_the_identity(points, gradient):
     np.testing.assert_allclose(back, points, atol=2e-3)
 
 
+def test_advance_stays_on_the_lattice_whatever_the_points():
+    """Beyond the border the flow is that of the border; what is not finite becomes NaN."""
+    flow = field(linear(np.zeros((2, 2)), offset=(3.0, -2.0)))
+    far = [-1.0, 0.0, 345.0, 346.0, 259.0, 1e6, -1e6, 1e30, -1e30, 1e300, -1e300]
+    points = np.array([[x, y] for x in far for y in far])
+    moved = LATTICE.advance(flow, points, 0.0, 1.0)
+    np.testing.assert_allclose(moved, points + np.array([3.0, -2.0]), rtol=1e-6, atol=1e-5)
+    bad = [np.nan, np.inf, -np.inf]
+    points = np.array([(b, 5.0) for b in bad] + [(5.0, b) for b in bad] + [(b, b) for b in bad])
+    assert np.isnan(LATTICE.advance(flow, points, 0.0, 1.0)).all()
+    for value in (np.nan, np.inf, 1e30):
+        LATTICE.advance(np.full_like(flow, value), np.array([[5.0, 5.0]] * 9), 0.0, 1.0)
+
+
+def test_advance_is_that_of_points_in_double_precision(points):
+    rng = np.random.default_rng(2)
+    flow = rng.normal(0, 8, LATTICE.shape).astype(np.float32)
+    expected = points
+    for k in range(4):
+        s = k / 4
+        halfway = bilinear(LATTICE.at_time(flow, s), expected, LATTICE.per_px)
+        middle = bilinear(LATTICE.at_time(flow, s + 1 / 8), expected + halfway / 8, LATTICE.per_px)
+        expected = expected + middle / 4
+    np.testing.assert_allclose(LATTICE.advance(flow, points, 0.0, 1.0), expected, atol=2e-4)
+
+
 def test_advance_is_of_second_order(points):
     """One step against two of half the length: a quarter of the error."""
     strong = 10 * ROTATION  # 0.25 rad in a quarter of the window

@@ -201,6 +201,41 @@ def test_rows_are_on_disk_a_second_later(tmp_path, monkeypatch):
     assert rows() == [200, 201, 205]
 
 
+class Full(SimpleNamespace):
+    """A data set that takes no values."""
+
+    def __setitem__(self, rows, values):
+        raise OSError("no space left on device")
+
+
+def test_rows_that_cannot_be_written_leave_those_before(tmp_path):
+    path = tmp_path / "estimates.h5"
+    writer = EstimatesWriter(path, camera=CAMERA, source="", configuration={})
+    writer.append(estimate(0), 200)
+    t = writer._datasets["t"]
+    writer._datasets["t"] = Full(dtype=t.dtype, shape=t.shape, resize=t.resize)
+    writer.append(estimate(1), 201)
+    with pytest.raises(OSError, match="no space"):
+        writer.write()
+    error = ValueError("what ended the run")
+    writer.__exit__(ValueError, error, None)  # and hides no other error
+    found = read_estimates(path)
+    assert {len(column) for column in found.columns.values()} == {1}
+
+
+def test_dense_rows_do_not_pile_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(estimates_file, "_PERIOD_S", 1e9)
+    monkeypatch.setattr(estimates_file, "_MOST_BYTES", 4000)
+    path = tmp_path / "estimates.h5"
+    with EstimatesWriter(path, camera=CAMERA, source="", configuration={}) as writer:
+        waiting = []
+        for i in range(40):
+            writer.append(estimate(i), 200)
+            waiting.append(len(writer._waiting))
+        assert 3 < max(waiting) < 15
+    assert list(read_estimates(path).columns["events"]) == [100 + i for i in range(40)]
+
+
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "other.h5"
     with pytest.raises(InputError, match="cannot be read"):

@@ -99,6 +99,23 @@ def test_continued_run_equals_an_uninterrupted_one(
     assert checkpoint.load() is None  # a finished run leaves none
 
 
+def test_rows_are_on_disk_when_a_checkpoint_is_saved(folder, tmp_path, monkeypatch):
+    """Else a run that is killed right afterwards could not be continued."""
+    monkeypatch.setattr("emoflow_ros.evaluation.run_progress.PERIOD_S", 0.0)
+    monkeypatch.setattr("emoflow_ros.evaluation.estimates_file._PERIOD_S", 1e9)
+    rows = []
+
+    class Watched(Checkpoint):
+        def save(self, progress):
+            super().save(progress)
+            copy = tmp_path / "copy.h5"
+            copy.write_bytes((tmp_path / "e.h5").read_bytes())
+            rows.append((len(read_estimates(copy)), len(progress.windows)))
+
+    run(folder, tmp_path / "e.h5", new_progress(), Watched(tmp_path / "c.pickle", {}))
+    assert rows == [(n, n) for n in range(1, 49)]
+
+
 def test_checkpoint_of_another_run_is_refused(tmp_path):
     path = tmp_path / "c.pickle"
     Checkpoint(path, {"input": "a", "configuration": {"x": 1}}).save(new_progress())

@@ -51,13 +51,16 @@ class PipelineBench:
         [self.supervisor] = supervisors
         self.pipeline.take_topic(LEFT)
 
-    def play(self, first_ms: int, last_ms: int, camera: Camera = CAMERA) -> None:
-        """Take a message with an event each 5 ms."""
+    def play(
+        self, first_ms: int, last_ms: int, camera: Camera = CAMERA, *, pause: bool = True
+    ) -> None:
+        """Take a message with an event each 5 ms; without `pause` all in one turn, unfinished."""
         for t in range(first_ms, last_ms, 5):
             zero = np.zeros(1, np.uint16)
             events = Events(zero, zero, np.array([t * MS]), zero.astype(bool))
             self.pipeline.take_events(ENCODER.events(t * MS, camera, events))
-            self.pipeline.cut_windows()
+            if pause:
+                self.pipeline.cut_windows()
 
     def calibrate(self, camera: Camera = CAMERA) -> None:
         data = ENCODER.camera_info(0, camera)

@@ -46,7 +46,7 @@ class Bench:
         part: int = 1,
     ) -> list[Any]:
         self.take(*times_ms, stamp_ms=stamp_ms, camera=camera, part=part)
-        return self.input.cut()
+        return [task for tasks in self.input.cut() for task in tasks]
 
     def take(
         self,
@@ -178,21 +178,53 @@ def test_messages_that_are_cut_together_make_the_same_windows(monkeypatch: Any) 
         for t in range(1000, 1024, 2):
             bench.take(t, t + 1, part=2 if t % 4 else 1)
         bench.input.take(b"malformed")
-        tasks = bench.input.cut()
+        groups = bench.input.cut()
+        tasks = [task for tasks in groups for task in tasks]
         windows = [task.window for task in tasks if not task.is_slice]
         assert [w.t_start // MS for w in windows] == [1000, 1010]
         assert [w.events.came for w in windows] == [10, 10]
+        assert [sum(not task.is_slice for task in tasks) for tasks in groups if tasks][-1] < 2
         newest = [task.window for task in tasks if task.is_slice][-1]
         assert (newest.t_end // MS, newest.events.came) == (1022, 4)
         assert bench.statistics.counts["windows"] == 2
         assert bench.input.cut() == []
 
 
+def test_stamps_do_not_depend_on_how_many_messages_come_together() -> None:
+    """Each window's offset is that of when it was complete, though the delay of stamps changes."""
+    offsets = []
+    for together in (1, 8, 40):
+        bench = Bench(timestamps=Timestamps.HEADER)
+        tasks = []
+        for k in range(40):
+            t = 1000 + 2 * k
+            bench.take(t, t + 1, stamp_ms=50_000 + t + (15 if 8 <= k < 20 else 3))
+            if k % together == together - 1:
+                tasks += [task for tasks in bench.input.cut() for task in tasks]
+        offsets.append([task.time_offset for task in tasks])
+    assert len(offsets[0]) == 7
+    assert offsets[0] == offsets[1] == offsets[2]
+    assert len(set(offsets[0])) > 1
+
+
+def test_windows_of_several_messages_stand_apart(bench: Bench) -> None:
+    """Those that one message completes stand together."""
+    for t in (1000, 1004, 1012, 1015, 1021, 1045):
+        bench.take(t)
+    starts = [[task.window.t_start // MS for task in tasks] for tasks in bench.input.cut()]
+    assert starts == [[1000], [1010], [1020]]
+    bench.take(1046)
+    bench.take(1050)
+    bench.take(1060)
+    starts = [[task.window.t_start // MS for task in tasks] for tasks in bench.input.cut()]
+    assert starts == [[1040], [1050]]
+
+
 def test_jump_among_messages_that_are_cut_together(bench: Bench) -> None:
     """No window holds events of both sides; each task knows its epoch."""
     for t in (5000, 5004, 5012, 1000, 1004, 1012):
         bench.take(t)
-    first, second = bench.input.cut()
+    [first], [second] = bench.input.cut()
     assert (first.epoch, first.window.t_start, len(first.window.events)) == (0, 5000 * MS, 2)
     assert (second.epoch, second.window.t_start, len(second.window.events)) == (1, 1000 * MS, 2)
     assert first.time_offset == second.time_offset == 0

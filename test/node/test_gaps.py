@@ -59,7 +59,7 @@ class Packets:
             stamp = (ms + ahead_ms) * MS
             packet = event_packet(payload, "evt3", size=SIZE, stamp=stamp, seq=ms // 5)
             self.input.take(packet)
-            tasks += self.input.cut()
+            tasks += [task for tasks in self.input.cut() for task in tasks]
         return tasks
 
 

@@ -220,6 +220,19 @@ def test_every_window_is_accounted_for_once(bench: PipelineBench) -> None:
     assert len(bench.said) == 5  # all but those that were forgotten
 
 
+def test_jump_in_the_middle_of_a_turn(bench: PipelineBench) -> None:
+    """Windows from before it are forgotten, and of those behind it the newest ones wait."""
+    bench.calibrate()
+    bench.play(1000, 1021, pause=False)  # two windows
+    bench.play(500, 541, pause=False)  # a jump, and four windows, of which two may wait
+    bench.pipeline.cut_windows()
+    assert [job.task.window.t_start // MS for job in bench.supervisor.jobs()] == [520, 530]
+    counts = bench.pipeline.report().values
+    expected = {"windows": 6, "windows_forgotten": 2, "windows_dropped": 2}
+    assert {name: int(counts[name]) for name in expected} == expected
+    assert len(bench.said) == 2
+
+
 def test_window_in_work_at_the_pause_is_forgotten(bench: PipelineBench) -> None:
     bench.calibrate()
     bench.play(1000, 1011)

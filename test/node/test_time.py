@@ -55,7 +55,7 @@ class Stream:
             zeros = np.zeros(5, np.uint16)
             events = Events(zeros, zeros, t, zeros.astype(bool))
             self.input.take(self._message(events, round((t_ms + ahead_ms) * MS)))
-            tasks += self.input.cut()
+            tasks += [task for tasks in self.input.cut() for task in tasks]
         return tasks
 
     def _message(self, events: Events, stamp: int) -> bytes:
