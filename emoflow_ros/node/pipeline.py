@@ -255,7 +255,10 @@ class Pipeline:
         self.is_topic_used = True
         config, wishes = self._settings.config, self._outputs.wishes
         jobs = [Job(task, self._camera, config, wishes) for task in tasks]
-        for left_out in self._supervisor.queue.put(jobs):
+        queue = self._supervisor.queue
+        if not len(queue):  # else they are dropped perhaps: thinning takes longer than decoding
+            jobs = [job.thinned() for job in jobs]
+        for left_out in queue.put(jobs):
             self._drop(left_out.task, self._supervisor.obstacle or _SLOW)
 
     def _wait(self, task: Task) -> None:

@@ -173,7 +173,7 @@ class Supervisor:
         task = job.task
         cold = task.epoch != self._epoch
         self._epoch = task.epoch
-        interval, columns = pack_window(job.window)
+        interval, columns = pack_window(job.thinned().task.window)
         header, arrays = self._request(
             {"kind": "window", **interval, "cold": cold, "wishes": asdict(job.wishes)}, columns
         )

@@ -3,7 +3,7 @@
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -83,14 +83,10 @@ class Job:
     config: Config
     wishes: Wishes = field(default_factory=Wishes)
 
-    @property
-    def window(self) -> Window:
-        """The task's window with no more events than the estimator may use.
-
-        It is not taken before the worker is free: thinning takes longer than decoding.
-        """
-        config = self.config
-        return EventBudget(config.window, config.estimator.max_events).bound(self.task.window)
+    def thinned(self) -> "Job":
+        """Return it with no more events in its window than the estimator may use."""
+        budget = EventBudget(self.config.window, self.config.estimator.max_events)
+        return replace(self, task=replace(self.task, window=budget.bound(self.task.window)))
 
 
 @dataclass(frozen=True)
