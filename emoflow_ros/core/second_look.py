@@ -18,8 +18,9 @@ from threadpoolctl import ThreadpoolController
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import Contrast, ContrastFactory, ImageContrast, best_constant_flow
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.lattice import Lattice, LatticeFlow, bilinear
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.lattice_kernels import bilinear
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.window_events import WindowEvents

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from emoflow_ros.core.lattice import bilinear
+from emoflow_ros.core.lattice_kernels import bilinear
 
 PER_PX = np.array([0.05, 0.04], np.float32)
 

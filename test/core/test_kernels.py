@@ -6,7 +6,8 @@ from scipy.linalg import eigh
 
 from emoflow_ros.core import derivatives, kernels, normal_equations
 from emoflow_ros.core.cells import Cells
-from emoflow_ros.core.lattice import Lattice, material_derivative
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_kernels import material_derivative
 from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 from emoflow_ros.core.window_events import CellEvents
 

@@ -3,7 +3,8 @@ import pytest
 from scipy.linalg import expm
 
 from emoflow_ros.core import kernels
-from emoflow_ros.core.lattice import Lattice, LatticeFlow, bilinear
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.lattice_kernels import bilinear
 from emoflow_ros.core.window_events import CellEvents
 
 MS = 1_000_000

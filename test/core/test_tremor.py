@@ -13,9 +13,10 @@ from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.lattice import Lattice, LatticeFlow, bilinear
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.lattice_kernels import bilinear
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.tremor import Tremor
 from emoflow_ros.core.window_events import WindowEvents
