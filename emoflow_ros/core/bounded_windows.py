@@ -81,7 +81,7 @@ class RateLimitedSlicer(WindowSlicer):
 
 
 class BoundedWindows:
-    """Thins windows before they are estimated, as the node does: there a stream's rate is limited.
+    """Thins windows before they are estimated, to what the node would send to its worker.
 
     Args:
         estimator: of the thinned windows.

@@ -1,14 +1,12 @@
 """The lifecycle node: its transitions, and the loop that runs its callbacks until the end."""
 
 import contextlib
-import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -20,7 +18,6 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from emoflow_ros.errors import InputError
 from emoflow_ros.node.event_source import Callbacks, EventSource
 from emoflow_ros.node.outputs import to_diagnostics
 from emoflow_ros.node.parameters import NodeParameters
@@ -29,6 +26,7 @@ from emoflow_ros.node.ros_arguments import refused_in_one_line
 from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.node.topic_search import TopicSearch
+from emoflow_ros.node.transitions import log_error, refuse_impossible_transitions, transition
 
 _DIAGNOSTICS_DEPTH = 10
 
@@ -79,36 +77,6 @@ def spin_until_asked(node: Node, give_end: Callable[[Callable[[], None]], None])
         executor.spin_once()
 
 
-def transition(
-    body: Callable[["EstimatorNode", LifecycleState], None],
-) -> Callable[..., TransitionCallbackReturn]:
-    """Make a lifecycle callback that logs why it failed; rclpy would log nothing.
-
-    Bad input is a failure: the node stays in its state. Any other exception is an error, after
-    which rclpy calls `on_error`. While the node is being made, nothing is logged: the caller gets
-    the exception.
-    """
-
-    def callback(self: "EstimatorNode", state: LifecycleState) -> TransitionCallbackReturn:
-        self.failure = None
-        try:
-            body(self, state)
-        except InputError as error:
-            self.failure = error
-            if not self.is_starting:
-                self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        except Exception as error:
-            self.failure = error
-            if not self.is_starting:
-                _log_error(self, body.__name__, error)
-            return TransitionCallbackReturn.ERROR
-        return TransitionCallbackReturn.SUCCESS
-
-    callback.__doc__ = body.__doc__
-    return callback
-
-
 class EstimatorNode(LifecycleNode):
     """Listens to events while active, and publishes what the worker makes of them.
 
@@ -145,7 +113,7 @@ class EstimatorNode(LifecycleNode):
             is_configured=lambda: self._pipeline is not None,
             on_change=self._apply_settings,
         )
-        _refuse_impossible_transitions(self)
+        refuse_impossible_transitions(self)
         if self._settings.node.autostart:
             self._start()
 
@@ -238,7 +206,7 @@ class EstimatorNode(LifecycleNode):
         try:
             self._release()
         except Exception as error:
-            _log_error(self, "cleaning up after it", error)
+            log_error(self, "cleaning up after it", error)
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
@@ -268,34 +236,3 @@ class EstimatorNode(LifecycleNode):
             report = self._pipeline.report()
             name, stamp = self.get_fully_qualified_name(), self.get_clock().now().to_msg()
             self._diagnostics.publish(to_diagnostics(name, report, stamp))
-
-
-def _log_error(node: Node, action: str, error: Exception) -> None:
-    """Log an unexpected exception with its traceback."""
-    trace = "".join(traceback.format_exception(error))
-    node.get_logger().error(f"{action} failed: {type(error).__name__}: {error}\n{trace}")
-
-
-def _refuse_impossible_transitions(node: LifecycleNode) -> None:
-    """Let the service change_state refuse what is impossible; rclpy would raise, or say nothing."""
-    service = node._service_change_state
-    change = service.callback
-
-    def answer(
-        request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
-        wish = request.transition
-        machine = node._state_machine
-        possible = {number: label for number, label, *_ in machine.available_transitions}
-        if wish.label in possible.values() if wish.label else wish.id in possible:
-            return change(request, response)
-        choices = ", ".join(f"{label} ({number})" for number, label in sorted(possible.items()))
-        node.get_logger().error(
-            f"change_state: transition {wish.label or wish.id} is refused: the node is "
-            f"{machine.current_state[1]}; possible: {choices or 'none'}. A node that a manager "
-            "configures needs autostart:=false"
-        )
-        response.success = False
-        return response
-
-    service.callback = answer

@@ -135,7 +135,7 @@ class EventInput:
     def cut(self) -> list[list[Task]]:
         """Return the windows and slices that the messages taken since the last call complete.
 
-        Tasks that one message completes stand together.
+        All are of the present epoch. Tasks that one message completes stand together.
         """
         self._cut()
         tasks, self._tasks = self._tasks, []
@@ -146,7 +146,6 @@ class EventInput:
 
         The epoch and the clock map stay unless time jumped meanwhile.
         """
-        self._cut()
         if left_out.jump:
             self._start_epoch(left_out.jump)
             self._size = None
@@ -182,6 +181,9 @@ class EventInput:
     def _start_epoch(self, step: int) -> None:
         """Start the next epoch after a step of time (ns): forget what was before it."""
         self._cut()
+        forgotten = sum(not task.is_slice for tasks in self._tasks for task in tasks)
+        self._statistics.counts["windows_forgotten"] += forgotten
+        self._tasks.clear()
         self.epoch += 1
         way = "back" if step < 0 else "forward"
         self.jump = f"event time went {way} by {abs(step) / NS_PER_S:.3f} s"

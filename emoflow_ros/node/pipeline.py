@@ -183,14 +183,9 @@ class Pipeline:
             self._forget_waiting()
             line = f"{self._input.jump}: the estimation starts anew"
             self._node.get_logger().info(line, throttle_duration_sec=_THROTTLE_S)
-        for tasks in groups:  # each of one epoch
-            if tasks[0].epoch != self._epoch:
-                windows = sum(not task.is_slice for task in tasks)
-                self.statistics.counts["windows_forgotten"] += windows
-            elif self.imu is not None:
-                self.imu.push(tasks)
-            else:
-                self._hand_on(tasks)
+        take = self._hand_on if self.imu is None else self.imu.push
+        for tasks in groups:
+            take(tasks)
 
     def skip(self, left_out: LeftOut) -> None:
         """Go on behind messages that are left out, as `EventInput.skip` does."""

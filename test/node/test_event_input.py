@@ -1,65 +1,12 @@
 import struct
-from typing import Any
 
-import numpy as np
 import pytest
+from input_bench import CAMERA, MS, SMALL, Bench
 
-from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import Events, WindowPolicy
+from emoflow_ros.core.events import WindowPolicy
 from emoflow_ros.core.thinning import EventBudget
-from emoflow_ros.node import event_input
-from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
-from emoflow_ros.simulation.messages import EVENT_ARRAY, MessageEncoder
-
-CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
-SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
-MS = 1_000_000
-
-
-class Bench:
-    """An input with what it counted and said."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        self.statistics = Statistics()
-        self.warnings: list[str] = []
-        self.input = EventInput(
-            EVENT_ARRAY,
-            EventBudget(WindowPolicy(duration_ms=10.0), 30_000),
-            **{
-                "timestamps": Timestamps.FUSED,
-                "frame_id": "",
-                "statistics": self.statistics,
-                "warn": self.warnings.append,
-            }
-            | kwargs,
-        )
-        self.input.camera = CAMERA
-        self._encoder = MessageEncoder(ros1=False)
-
-    def push(
-        self,
-        *times_ms: float,
-        stamp_ms: float | None = None,
-        camera: Camera = CAMERA,
-        part: int = 1,
-    ) -> list[Any]:
-        self.take(*times_ms, stamp_ms=stamp_ms, camera=camera, part=part)
-        return [task for tasks in self.input.cut() for task in tasks]
-
-    def take(
-        self,
-        *times_ms: float,
-        stamp_ms: float | None = None,
-        camera: Camera = CAMERA,
-        part: int = 1,
-    ) -> None:
-        t = np.array([round(ms * MS) for ms in times_ms], np.int64)
-        zeros = np.zeros(len(t), np.uint16)
-        events = Events(zeros, zeros, t, zeros.astype(bool))
-        stamp = round((times_ms[0] if stamp_ms is None else stamp_ms) * MS)
-        self.input.take(self._encoder.events(stamp, camera, events), part)
 
 
 def event_packet(encoding: str, payload: bytes) -> bytes:
@@ -167,67 +114,6 @@ def test_jump_within_a_message_leaves_it_out(bench: Bench, late_ms: int) -> None
     assert "event times jump within it" in bench.warnings[0]
     [task] = bench.push(1012)
     assert (len(task.window.events), bench.input.epoch) == (2, 0)
-
-
-def test_messages_that_are_cut_together_make_the_same_windows(monkeypatch: Any) -> None:
-    """Two windows and the newest slice, whether messages are cut one by one or at once."""
-    slices = EventBudget(WindowPolicy(duration_ms=4.0, stride_ms=2.0), 30_000)
-    for most in (1, 50_000):
-        monkeypatch.setattr(event_input, "_MOST_TAKEN", most)
-        bench = Bench(slices=slices)
-        for t in range(1000, 1024, 2):
-            bench.take(t, t + 1, part=2 if t % 4 else 1)
-        bench.input.take(b"malformed")
-        groups = bench.input.cut()
-        tasks = [task for tasks in groups for task in tasks]
-        windows = [task.window for task in tasks if not task.is_slice]
-        assert [w.t_start // MS for w in windows] == [1000, 1010]
-        assert [w.events.came for w in windows] == [10, 10]
-        assert [sum(not task.is_slice for task in tasks) for tasks in groups if tasks][-1] < 2
-        newest = [task.window for task in tasks if task.is_slice][-1]
-        assert (newest.t_end // MS, newest.events.came) == (1022, 4)
-        assert bench.statistics.counts["windows"] == 2
-        assert bench.input.cut() == []
-
-
-def test_stamps_do_not_depend_on_how_many_messages_come_together() -> None:
-    """Each window's offset is that of when it was complete, though the delay of stamps changes."""
-    offsets = []
-    for together in (1, 8, 40):
-        bench = Bench(timestamps=Timestamps.HEADER)
-        tasks = []
-        for k in range(40):
-            t = 1000 + 2 * k
-            bench.take(t, t + 1, stamp_ms=50_000 + t + (15 if 8 <= k < 20 else 3))
-            if k % together == together - 1:
-                tasks += [task for tasks in bench.input.cut() for task in tasks]
-        offsets.append([task.time_offset for task in tasks])
-    assert len(offsets[0]) == 7
-    assert offsets[0] == offsets[1] == offsets[2]
-    assert len(set(offsets[0])) > 1
-
-
-def test_windows_of_several_messages_stand_apart(bench: Bench) -> None:
-    """Those that one message completes stand together."""
-    for t in (1000, 1004, 1012, 1015, 1021, 1045):
-        bench.take(t)
-    starts = [[task.window.t_start // MS for task in tasks] for tasks in bench.input.cut()]
-    assert starts == [[1000], [1010], [1020]]
-    bench.take(1046)
-    bench.take(1050)
-    bench.take(1060)
-    starts = [[task.window.t_start // MS for task in tasks] for tasks in bench.input.cut()]
-    assert starts == [[1040], [1050]]
-
-
-def test_jump_among_messages_that_are_cut_together(bench: Bench) -> None:
-    """No window holds events of both sides; each task knows its epoch."""
-    for t in (5000, 5004, 5012, 1000, 1004, 1012):
-        bench.take(t)
-    [first], [second] = bench.input.cut()
-    assert (first.epoch, first.window.t_start, len(first.window.events)) == (0, 5000 * MS, 2)
-    assert (second.epoch, second.window.t_start, len(second.window.events)) == (1, 1000 * MS, 2)
-    assert first.time_offset == second.time_offset == 0
 
 
 def test_malformed_message_is_counted_and_said(bench: Bench) -> None:

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from ros_nodes import ros_context
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import estimator_node, event_source, outputs, pipeline
+from emoflow_ros.node import estimator_node, event_source, outputs, pipeline, transitions
 from emoflow_ros.node.estimator_node import EstimatorNode
 from emoflow_ros.node.tasks import DropOldestQueue
 
@@ -291,6 +291,6 @@ def test_transitions_are_those_of_the_node() -> None:
     """No callback of the lifecycle is left to rclpy, which would say nothing of a failure."""
     for name in ("configure", "activate", "deactivate", "cleanup", "shutdown"):
         callback = getattr(EstimatorNode, f"on_{name}")
-        assert callback.__module__ == estimator_node.__name__
-        assert callback.__qualname__.startswith(f"{estimator_node.transition.__name__}.")
+        assert callback.__module__ == transitions.__name__
+        assert callback.__qualname__.startswith(f"{transitions.transition.__name__}.")
     assert EstimatorNode.on_error.__module__ == estimator_node.__name__
