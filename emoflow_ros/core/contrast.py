@@ -18,11 +18,16 @@ from numpy.typing import NDArray
 from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.cells import Cells
 from emoflow_ros.core.lattice import TIMES, Lattice
-from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.smoothing import outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
+ROUNDING = 1e-6  # contrast, over another one, that float32 cannot tell from none
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
-SIGMA = 1.0  # of the Gaussian that smooths the image, image pixels
+# Pixels of the image per pixel of the sensor, at full resolution. In the sensor's own pixels events
+# that have not moved lie exactly upon each other, and look sharper than they are.
+SAMPLING = 0.6
+# These smooth the image, which bilinear votes have blurred already.
+TAPS = np.array([0.05, 0.9, 0.05], np.float32)
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: it is costly, and a mean
 
 F32 = NDArray[np.float32]
@@ -38,7 +43,7 @@ class ImageContrast(Protocol):
 
     @property
     def scale(self) -> float:
-        """Image pixels per sensor pixel."""
+        """Resolution: 1, or a part of it."""
         ...
 
     def score(self, events: WindowEvents, u: float, v: float) -> float:
@@ -61,11 +66,11 @@ type ContrastFactory = Callable[[Lattice, float], ImageContrast]
 
 
 class Contrast:
-    """The contrast at one image scale, and the buffers that it needs.
+    """The contrast at one scale, and the buffers that it needs.
 
     Args:
         lattice: the flow field's lattice.
-        scale: image pixels per sensor pixel.
+        scale: resolution; at 1 an image has SAMPLING pixels per pixel of the sensor.
 
     Raises:
         ValueError: the lattice has not two times.
@@ -76,11 +81,11 @@ class Contrast:
             raise ValueError(f"a contrast needs a lattice of {TIMES} times, not {lattice.times}")
         self.lattice = lattice
         self.scale = scale
-        self._area = scale**2  # makes contrasts of all scales alike
-        taps = gaussian(SIGMA)
-        self._taps, self._taps_twice = outwards(taps), outwards(np.convolve(taps, taps))
+        self._zoom = SAMPLING * scale  # image pixels per sensor pixel
+        self._area = self._zoom**2  # makes contrasts of all scales alike
+        self._taps, self._taps_twice = outwards(TAPS), outwards(np.convolve(TAPS, TAPS))
         margin = 2 * kernels.MARGIN
-        shape = tuple(int((n + margin) * scale) + 1 for n in (lattice.height, lattice.width))
+        shape = tuple(int((n + margin) * self._zoom) + 1 for n in (lattice.height, lattice.width))
         self.image = np.zeros(shape, np.float32)  # of all events, as drawn last
         self._parts = np.zeros((PARTS, *shape), np.float32)
         self._cells = Cells.empty(lattice.columns, lattice.rows)
@@ -96,11 +101,12 @@ class Contrast:
     def gain(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of the warped events over that of the events as they came.
 
-        0 where the latter is 0, because as many events of either polarity lie at each pixel.
+        0 where the latter is 0 but for rounding, because as many events of either polarity lie at
+        each pixel.
         """
         sharp = self.sharpen(events, flow)
         as_came = self.score(events, 0.0, 0.0)
-        return sharp / as_came if as_came > 0 else 0.0
+        return sharp / as_came if as_came > ROUNDING * sharp else 0.0
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts.
@@ -114,10 +120,10 @@ class Contrast:
         """
         here, images = events.on(self.lattice), self._parts
         position = self._warp(events, flow, ref)
-        kernels.vote(position, here.weights, here.part, self.scale, images)
+        kernels.vote(position, here.weights, here.part, self._zoom, images)
         smooth(images, self._taps_twice)
         kernels.without_own(images)  # now what the other parts draw
-        drawn = (here, ref, position, images, self.scale)
+        drawn = (here, ref, position, images, self._zoom)
         slope = self._area * PAIRS
         derivatives.pull(*drawn, slope, self._cells.gradient)
         derivatives.stiffen(*drawn, STIFFNESS_STRIDE, slope * PAIRS, self._cells.curvature)
@@ -133,7 +139,7 @@ class Contrast:
     def _draw(self, position: F32, weights: F32) -> float:
         """Draw the smoothed image of events at positions (2, N) px, and return its contrast."""
         one_image = np.zeros(len(weights), np.int32)
-        kernels.vote(position, weights, one_image, self.scale, self.image[None])
+        kernels.vote(position, weights, one_image, self._zoom, self.image[None])
         smooth(self.image[None], self._taps)
         flat = self.image.ravel()
         return 0.5 * self._area * float(flat @ flat)

@@ -14,11 +14,10 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from emoflow_ros.core.cells import PAIR, PAIRS_OF_NODES, Cells
-from emoflow_ros.core.contrast import PAIRS, SIGMA
+from emoflow_ros.core.contrast import PAIRS, ROUNDING, SAMPLING, TAPS
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.smoothing import gaussian
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 _WARM_UPS = 3  # before the capture, as torch asks for
@@ -27,14 +26,14 @@ F32 = NDArray[np.float32]
 
 
 class TorchContrast:
-    """The contrast at one image scale, and its buffers on a device (an ImageContrast).
+    """The contrast at one scale, and its buffers on a device (an ImageContrast).
 
     On CUDA the order in which events are added to the image, and with it the last bits of all
     that follows, differs from run to run.
 
     Args:
         lattice: the flow field's lattice.
-        scale: image pixels per sensor pixel.
+        scale: resolution; at 1 an image has SAMPLING pixels per pixel of the sensor.
         device: of torch.
         capacity: the most events that a window holds.
     """
@@ -45,14 +44,14 @@ class TorchContrast:
         self.lattice = lattice
         self.scale = scale
         self._again = partial(TorchContrast, lattice, scale, device=device, capacity=capacity)
-        self._area = scale**2
-        self._shift = (MARGIN + 0.5) * scale - 0.5
-        height = int((lattice.height + 2 * MARGIN) * scale) + 1
-        width = int((lattice.width + 2 * MARGIN) * scale) + 1
+        self._zoom = SAMPLING * scale  # image pixels per sensor pixel
+        self._area = self._zoom**2
+        self._shift = (MARGIN + 0.5) * self._zoom - 0.5
+        height = int((lattice.height + 2 * MARGIN) * self._zoom) + 1
+        width = int((lattice.width + 2 * MARGIN) * self._zoom) + 1
         self._shape = (height, width)
-        taps = gaussian(SIGMA)
-        self._taps = torch.tensor(taps, device=device)
-        self._taps_twice = torch.tensor(np.convolve(taps, taps), device=device)
+        self._taps = torch.tensor(TAPS, device=device)
+        self._taps_twice = torch.tensor(np.convolve(TAPS, TAPS), device=device)
         self._inner = torch.tensor([width - 2, height - 2], device=device)
         self._corners = torch.tensor([0, 1, width, width + 1], device=device)[:, None]
         offsets = [i * width + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
@@ -90,7 +89,7 @@ class TorchContrast:
         sharp = self._energy(self._draw(self._warp(), self._events.weights))
         x, y, _, weights = self._events.columns
         as_came = self._energy(self._draw(torch.stack([x, y], dim=1), weights))
-        return torch.where(as_came > 0, sharp / as_came, 0.0).item()
+        return torch.where(as_came > ROUNDING * sharp, sharp / as_came, 0.0).item()
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts."""
@@ -134,9 +133,9 @@ class TorchContrast:
         parts = self._vote(self._parts, at, weights, first).view(PARTS, *self._shape)
         parts = self._smooth(parts, self._taps_twice)
         others = (parts.sum(dim=0) - parts).ravel()
-        lever = weights * events.lever[:, 0] * self.scale
+        lever = weights * events.lever[:, 0] * self._zoom
         pull = lever * self._slope(others, at, first)
-        lever = lever * events.lever[:, 0] * self.scale * events.copies
+        lever = lever * events.lever[:, 0] * self._zoom * events.copies
         stiffness = _semidefinite(*(lever * self._bend(others, at, first)))
         by_node = (stiffness[..., None] * events.basis).transpose(0, 1).flatten(1)  # (S, 24)
         cells, blocks = events.members.shape
@@ -155,7 +154,7 @@ class TorchContrast:
 
     def _on_image(self, position: Tensor) -> tuple[Tensor, Tensor]:
         """Map sensor to image positions (N, 2), and tell which are inside, (N,)."""
-        at = position * self.scale + self._shift
+        at = position * self._zoom + self._shift
         inside = ((at >= 1) & (at < self._inner)).all(dim=1)
         return at.masked_fill(~inside[:, None], 1.0), inside
 

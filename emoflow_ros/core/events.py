@@ -50,14 +50,6 @@ class Events:
         """How many events of the stream these stand for: their number, if none were thinned."""
         return len(self) if self.stands_for is None else int(self.stands_for.sum(dtype=np.int64))
 
-    def first_of_latest(self, count: int) -> int:
-        """Index of the first of the latest events that stand for `count`; 0 if all are fewer."""
-        if self.stands_for is None:
-            return max(0, len(self) - count)
-        place = np.cumsum(self.stands_for, dtype=np.int64)
-        before = self.came - count
-        return int(np.searchsorted(place, before)) + 1 if before > 0 else 0
-
     @staticmethod
     def empty() -> "Events":
         """No events."""

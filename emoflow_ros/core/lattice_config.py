@@ -91,7 +91,7 @@ class LatticeConfig:
         maximum=1e3,
     )
     min_contrast_gain: float = option(
-        1.08,
+        1.1,
         "contrast of the warped over that of the unwarped events below which nothing moves",
         minimum=1.0,
         maximum=10.0,

@@ -14,6 +14,7 @@ from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.preparation import reduction
+from emoflow_ros.core.thinning import first_of_latest
 from emoflow_ros.core.window_events import WindowEvents
 
 F32 = NDArray[np.float32]
@@ -131,7 +132,7 @@ class MotionWindows:
     def _choose_start(self, window: Window, count: int) -> int:
         """Go back by the number of events, to the window's or the last estimate's start at most."""
         events = window.events
-        first = min(len(events) - self._policy.min_count, events.first_of_latest(count))
+        first = min(len(events) - self._policy.min_count, first_of_latest(events, count))
         start = int(events.t[first]) if first > 0 else window.t_start
         if self._start is not None:
             start = max(start, self._start)

@@ -6,7 +6,9 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 
-_REACH = 6  # px of an image on either side of the middle of a smoothing kernel, at most
+# A symmetric kernel from its middle outwards. The length of a tuple is known to the compiler, which
+# unrolls the loops over it.
+type Taps = tuple[np.float32, ...]
 
 
 def gaussian(sigma: float) -> F32:
@@ -16,37 +18,34 @@ def gaussian(sigma: float) -> F32:
     return (taps / taps.sum()).astype(np.float32)
 
 
-def outwards(taps: F32) -> F32:
-    """Bring a symmetric kernel of at most 13 taps to the form that `smooth` takes, (7,)."""
-    middle = len(taps) // 2
-    result = np.zeros(_REACH + 1, np.float32)
-    result[: middle + 1] = taps[middle:]
-    return result
+def outwards(taps: F32) -> Taps:
+    """Bring a symmetric kernel of an odd number of taps to the form that `smooth` takes."""
+    return tuple(taps[len(taps) // 2 :])
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def smooth(images: F32, taps: F32) -> None:
+def smooth(images: F32, taps: Taps) -> None:
     """Convolve images with a symmetric kernel along columns and rows, in place; zero outside.
 
     Args:
         images: (n, h, w).
-        taps: (7,) from the middle outwards: always as many, so that the loops over them are
-            unrolled.
+        taps: from the middle outwards.
     """
     number, h, w = images.shape
-    padded = np.zeros((h + 2 * _REACH, w), np.float32)
-    row = np.zeros(w + 2 * _REACH, np.float32)
+    reach = len(taps) - 1
+    padded = np.zeros((h + 2 * reach, w), np.float32)
+    row = np.zeros(w + 2 * reach, np.float32)
     for n in range(number):
         image = images[n]
-        padded[_REACH:-_REACH] = image
+        padded[reach : reach + h] = image
         for i in range(h):
             for j in range(w):
-                total = taps[0] * padded[i + _REACH, j]
-                for k in range(1, _REACH + 1):
-                    total += taps[k] * (padded[i + _REACH - k, j] + padded[i + _REACH + k, j])
-                row[j + _REACH] = total
+                total = taps[0] * padded[i + reach, j]
+                for k in range(1, len(taps)):
+                    total += taps[k] * (padded[i + reach - k, j] + padded[i + reach + k, j])
+                row[j + reach] = total
             for j in range(w):
-                total = taps[0] * row[j + _REACH]
-                for k in range(1, _REACH + 1):
-                    total += taps[k] * (row[j + _REACH - k] + row[j + _REACH + k])
+                total = taps[0] * row[j + reach]
+                for k in range(1, len(taps)):
+                    total += taps[k] * (row[j + reach - k] + row[j + reach + k])
                 image[i, j] = total

@@ -145,7 +145,14 @@ def spread(events: Events, count: int) -> Events:
             return events
         return events[np.arange(count) * len(events) // count]
     chosen = np.empty(count, np.intp)
-    return events[chosen[: _steps(np.ascontiguousarray(events.stands_for), events.came, chosen)]]
+    return events[chosen[: _steps(np.ascontiguousarray(events.stands_for), chosen)]]
+
+
+def first_of_latest(events: Events, count: int) -> int:
+    """Index of the first of the latest events that stand for `count`; 0 if all are fewer."""
+    if events.stands_for is None:
+        return max(0, len(events) - count)
+    return _first_of_latest(np.ascontiguousarray(events.stands_for), count)
 
 
 def _thin_pieces(events: Events, bounds: NDArray[np.intp], limits: NDArray[np.int64]) -> Events:
@@ -208,14 +215,26 @@ def _column(kind: types.Type) -> types.Array:
     return types.Array(kind, 1, "C", readonly=True)
 
 
-@njit(types.intp(_column(types.uint32), types.int64, types.intp[::1]), cache=True, nogil=True)
-def _steps(stands_for, came, chosen):  # type: ignore[no-untyped-def]
+@njit(types.intp(_column(types.uint32), types.int64), cache=True, nogil=True)
+def _first_of_latest(stands_for, count):  # type: ignore[no-untyped-def]
+    """Index of the first of the latest events that stand for no more than `count`."""
+    first, number = len(stands_for), np.int64(0)
+    while first > 0 and number + stands_for[first - 1] <= count:
+        first -= 1
+        number += stands_for[first]
+    return first
+
+
+@njit(types.intp(_column(types.uint32), types.intp[::1]), cache=True, nogil=True)
+def _steps(stands_for, chosen):  # type: ignore[no-untyped-def]
     """Write the indices of the events at equal steps of the stream; return their number.
 
-    With n = len(chosen) step k is event k * came // n of the stream. It lies before the end of an
-    event's share where k * came is below n times that.
+    With n = len(chosen) and N events in the stream, step k is event k * N // n of it. It lies
+    before the end of an event's share where k * N is below n times that.
     """
-    number, end, step = 0, 0, 0
+    number, end, step, came = 0, 0, 0, 0
+    for i in range(len(stands_for)):
+        came += stands_for[i]
     for i in range(len(stands_for)):
         end += stands_for[i] * len(chosen)
         if step < end:

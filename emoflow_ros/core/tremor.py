@@ -37,7 +37,7 @@ class Tremor:
     Args:
         image: that the lattice lies on.
         epipolar: the rotational flow at the lattice's nodes.
-        contrast: at half resolution, whose maxima are wide.
+        contrast: at a low resolution, whose maxima are wide.
     """
 
     def __init__(

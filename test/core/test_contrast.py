@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from emoflow_ros.core import kernels
-from emoflow_ros.core.contrast import PAIRS, Contrast, best_constant_flow
+from emoflow_ros.core.contrast import PAIRS, SAMPLING, TAPS, Contrast, best_constant_flow
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.smoothing import gaussian
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 LATTICE = Lattice(120, 90, 5, 4, 2)
@@ -30,6 +29,11 @@ def moving_dots(displacement, size=(120, 90), dots=60, per_dot=40, seed=1) -> Wi
     return WindowEvents.prepare(
         x[order].astype(np.float32), y[order].astype(np.float32), s[order], on[order]
     )
+
+
+def on_pixels(columns, rows) -> list[np.ndarray]:
+    """Places on the sensor, px, that full resolution shows in the middle of pixels of the image."""
+    return [(np.array(n) + 0.5) / SAMPLING - 0.5 - kernels.MARGIN for n in (columns, rows)]
 
 
 def constant(u, v, lattice=LATTICE):
@@ -65,7 +69,7 @@ def warped(events, flow):
 def away_from_kinks(events, flow, scale) -> WindowEvents:
     """Leave out events warped onto the border of a pixel, where bilinear votes have no slope."""
     position = warped(events, flow)
-    part = ((position + kernels.MARGIN + 0.5) * scale - 0.5) % 1
+    part = ((position + kernels.MARGIN + 0.5) * SAMPLING * scale - 0.5) % 1
     keep = (np.abs(part - 0.5) < 0.499).all(axis=0)
     return WindowEvents(events.x[keep], events.y[keep], events.s[keep], events.weights[keep])
 
@@ -92,7 +96,8 @@ def reference_gradient(events, flow, scale):
     bend = torch.einsum("nij,ijd->dn", in_space, carried + change)
     dt = 0.5 - s
     position = torch.stack([x, y]) + dt * u + 0.5 * dt**2 * bend
-    at = (position + kernels.MARGIN + 0.5) * scale - 0.5
+    zoom = SAMPLING * scale
+    at = (position + kernels.MARGIN + 0.5) * zoom - 0.5
     h, w = Contrast(LATTICE, scale).image.shape
     corner = at.detach().floor()
     (fx, fy), (j, i) = at - corner, corner.long()
@@ -104,7 +109,7 @@ def reference_gradient(events, flow, scale):
         (0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)
     ):  # fmt: skip
         image = image.index_add(0, part * h * w + (i + di) * w + j + dj, weights * share)
-    taps = tensor(gaussian(1.0))
+    taps = tensor(TAPS)
     image = image.reshape(PARTS, 1, h, w)
     # Wide enough that nothing is lost between the first and the second smoothing.
     image = torch.nn.functional.pad(image, (len(taps),) * 4)
@@ -112,7 +117,7 @@ def reference_gradient(events, flow, scale):
         padding = tuple(n // 2 for n in kernel.shape[2:])
         image = torch.nn.functional.conv2d(image, kernel, padding=padding)
     between = image.sum(dim=0).square().sum() - image.square().sum()
-    contrast = 0.5 * scale**2 * PARTS / (PARTS - 1) * between
+    contrast = 0.5 * zoom**2 * PARTS / (PARTS - 1) * between
     contrast.backward()
     return contrast.item(), field.grad.numpy().ravel()
 
@@ -148,14 +153,19 @@ def test_gradient_is_the_slope_of_the_contrast(scale, u):
         assert (ahead - behind) / (2 * h) == pytest.approx(slope, rel=0.01, abs=2e-3 * size)
 
 
-def test_gradient_by_a_change_within_the_window():
-    events, contrast, h = moving_dots((8, -5)), Contrast(LATTICE, 0.25), 0.01
-    equations = equations_at(contrast, events, constant(0, 0))
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("off", [2.0, -1.5])
+def test_gradient_by_a_change_within_the_window(scale, off):
+    """From a flow that changes by more, or less, than the true one."""
+    events, contrast, h = moving_dots((8, -5)), Contrast(LATTICE, scale), 0.01
     change = np.ones(LATTICE.shape, np.float32) * np.float32([-1, 1])[:, None]
-    ahead = value_at(contrast, events, h * change)
-    behind = value_at(contrast, events, -h * change)
+    flow = constant(8, -5) + np.float32(off) * change
+    ahead = value_at(contrast, events, flow + h * change)
+    behind = value_at(contrast, events, flow - h * change)
     slope = (ahead - behind) / (2 * h)
-    assert equations.vector @ change.ravel() == pytest.approx(slope, rel=0.05)
+    gradient = equations_at(contrast, events, flow).vector @ change.ravel()
+    assert gradient == pytest.approx(slope, rel=0.02)
+    assert gradient * off < 0
 
 
 def test_curvature_is_positive_semidefinite_and_leads_uphill():
@@ -176,13 +186,12 @@ def test_curvature_is_positive_semidefinite_and_leads_uphill():
 
 def test_one_event_by_hand():
     """Half the sum of squares of a Gaussian blob of the event's weight."""
-    events = WindowEvents(*np.float32([[60], [40], [0.5], [3.0]]))
+    events = WindowEvents(*np.float32([*on_pixels([51], [36]), [0.5], [3.0]]))
     contrast = Contrast(LATTICE, 1.0)
     value = contrast.sharpen(events, constant(5, 5))
-    squares = (gaussian(1.0).astype(np.float64) ** 2).sum()
-    assert value == pytest.approx(0.5 * 9 * squares**2, rel=1e-5)
-    # already at the reference time
-    assert contrast.image[40 + kernels.MARGIN, 60 + kernels.MARGIN] == contrast.image.max()
+    squares = (TAPS.astype(np.float64) ** 2).sum()
+    assert value == pytest.approx(0.5 * 9 * SAMPLING**2 * squares**2, rel=1e-4)
+    assert contrast.image[36, 51] == contrast.image.max()  # already at the reference time
     assert contrast.image.sum() == pytest.approx(3.0, rel=1e-5)
 
 
@@ -240,15 +249,15 @@ def test_search_of_a_constant_flow(displacement):
 
 def test_events_of_one_part_do_not_count_among_themselves():
     """A burst at one place is no contrast between parts; the same events over the window are."""
-    at = np.float32([[60] * 8, [40] * 8])
+    at = np.float32(on_pixels([51] * 8, [36] * 8))
     s = np.linspace(0.4, 0.6, 8, dtype=np.float32)
     together = WindowEvents(*at, s, np.float32([1, 1, 0, 0, 0, 0, 0, 0]))
     apart = WindowEvents(*at, s, np.float32([1, 0, 0, 0, 0, 0, 0, 1]))
     contrast, still = Contrast(LATTICE, 1.0), constant(0, 0)
     assert contrast.score(together, 0, 0) == pytest.approx(contrast.score(apart, 0, 0), rel=1e-6)
     assert value_at(contrast, together, still) == pytest.approx(0, abs=1e-6)
-    peak = (gaussian(1.0).astype(np.float64) ** 2).sum() ** 2
-    assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-5)
+    peak = SAMPLING**2 * (TAPS.astype(np.float64) ** 2).sum() ** 2
+    assert value_at(contrast, apart, still) == pytest.approx(PARTS / (PARTS - 1) * peak, rel=1e-4)
 
 
 @pytest.mark.parametrize("copies", [2, 5])

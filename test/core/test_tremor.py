@@ -25,7 +25,7 @@ from emoflow_ros.simulation.simulate import simulate
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
 EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, 0.7)
-TREMOR = Tremor(WorkingImage.of(CAMERA), EPIPOLAR, Contrast(LATTICE, 0.5))
+TREMOR = Tremor(WorkingImage.of(CAMERA), EPIPOLAR, Contrast(LATTICE, 0.25))
 NS = 135_000_000
 SECONDS = NS * 1e-9
 TURN = np.radians([5.0, -30.0, 4.0])  # rad/s, the mean over the window
@@ -116,7 +116,7 @@ def test_noise_tells_no_tremor():
 def test_on_a_larger_sensor_the_flow_of_the_tremor_is_in_its_pixels():
     sensor = CAMERA.resized(692, 520)
     image = WorkingImage.of(sensor)
-    tremor = Tremor(image, EPIPOLAR, Contrast(LATTICE, 0.5))
+    tremor = Tremor(image, EPIPOLAR, Contrast(LATTICE, 0.25))
     lattice, field = image.on_sensor(LATTICE, flow_of(TURN))
     before = replace(fitted(), flow=LatticeFlow(lattice, field, 0, NS))
     found = tremor.add_to(before, events(np.radians([0.0, 20.0, 0.0])), flow_of(TURN))
