@@ -67,7 +67,7 @@ class LatticeEstimator:
         self._change = MotionChange(self._fit.contrasts[0.25])
         self._check = CrossCheck(self.lattice, self._epipolar, make_contrast, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
-        self._tremor = Tremor(self._image, self._epipolar, self._fit.contrasts[0.25])
+        self._tremor = Tremor(self._image, self._epipolar, self._fit.contrasts)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()

@@ -5,6 +5,7 @@ over the window, and a tremor drops out of it. The events of the window's middle
 rotation that all pixels share is three numbers, for which they are enough.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,8 @@ Array = NDArray[np.float64]
 _BEGIN, _END = 0.2, 0.8  # part of the window that is its middle
 _EVENTS = 8_000  # are enough for three numbers
 _FEWEST_EVENTS = 300
-_STEPS = 2
+# Scale of the image and steps: coarse first, for a step from none may be too long at a fine one.
+_STEPS = ((0.25, 1), (0.5, 1))
 _EXPECTED = np.radians(8.0)  # rad/s, standard deviation of a tremor in each axis
 # Control points of the cubic B-spline 1 - 12 (s - 1/2)^2: 1 in the middle, 0 in the mean.
 _BUMP = np.array([-22.0, 2.0, 2.0, -22.0])
@@ -37,15 +39,18 @@ class Tremor:
     Args:
         image: that the lattice lies on.
         epipolar: the rotational flow at the lattice's nodes.
-        contrast: at a low resolution, whose maxima are wide.
+        contrasts: by scale, 1/4 and 1/2.
     """
 
     def __init__(
-        self, image: WorkingImage, epipolar: NodeEpipolar, contrast: ImageContrast
+        self,
+        image: WorkingImage,
+        epipolar: NodeEpipolar,
+        contrasts: Mapping[float, ImageContrast],
     ) -> None:
         self._image = image
         self._epipolar = epipolar
-        self._contrast = contrast
+        self._contrasts = contrasts
 
     def add_to(
         self, estimate: Estimate, events: WindowEvents, flow: NDArray[np.float32]
@@ -84,11 +89,15 @@ class Tremor:
         few = middle.every(max(1, len(middle) // _EVENTS))
         nodes = flow.mean(axis=2).reshape(-1, 2).astype(np.float64)
         known = KnownScene.at_depths(self._epipolar, nodes, np.zeros(len(nodes)))
-        none, start = (np.zeros(3), np.eye(3) / expected**2), np.zeros(3)
+        none = np.zeros(3), np.eye(3) / expected**2
+        change, information = none
         try:
-            return known.fit(self._contrast, few, 1.0, none, start, _STEPS)
+            for scale, steps in _STEPS:
+                contrast = self._contrasts[scale]
+                change, information = known.fit(contrast, few, 1.0, none, change, steps)
         except np.linalg.LinAlgError:
             return None
+        return change, information
 
     def _bent(self, estimate: Estimate, w: Array) -> Estimate:
         """Add w (3,), rad/s, to motion and flow in the middle, and take it away towards both ends.
