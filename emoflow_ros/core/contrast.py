@@ -26,9 +26,9 @@ PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from
 # Pixels of the image per pixel of the sensor, at full resolution. In the sensor's own pixels events
 # that have not moved lie exactly upon each other, and look sharper than they are.
 SAMPLING = 0.6
-# Taps that smooth the image. Bilinear votes have blurred it by a variance of 1/6 already; together
-# they blur by one pixel of the sensor at full resolution.
-SIDE = (SAMPLING**2 - 1 / 6) / 2
+# Taps that smooth the image. Bilinear votes have blurred it by a variance of 1/6 already. Both
+# together blur like votes and a Gaussian of one pixel in an image of the sensor's pixels.
+SIDE = (SAMPLING**2 * (1 + 1 / 6) - 1 / 6) / 2
 TAPS = np.array([SIDE, 1 - 2 * SIDE, SIDE], np.float32)
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: it is costly, and a mean
 

@@ -237,6 +237,19 @@ def test_score_is_the_contrast_of_a_constant_flow(u):
     )
 
 
+@pytest.mark.parametrize("scale", SCALES)
+def test_noise_on_whole_pixels_is_as_sharp_warped_as_it_came(scale):
+    """In images of the sensor's own pixels the ratio would be 0.87 at full resolution."""
+    rng = np.random.default_rng(4)
+    x, y = rng.integers(0, (120, 90), (20_000, 2)).astype(np.float32).T
+    noise = WindowEvents.prepare(
+        x, y, np.sort(rng.random(len(x))).astype("f4"), rng.random(len(x)) < 0.5
+    )
+    contrast = Contrast(LATTICE, scale)
+    gains = [contrast.gain(noise, constant(*rng.normal(scale=6, size=2))) for _ in range(20)]
+    assert np.mean(gains) == pytest.approx(1.0, abs=0.04)
+
+
 @pytest.mark.parametrize("displacement", [(0, 0), (12, -7), (-31, 22), (3.4, 44)])
 def test_search_of_a_constant_flow(displacement):
     size = (240, 180)
