@@ -18,7 +18,7 @@ _FEWEST_NODES = 5  # along each side; on a coarser lattice everything is one spo
 _OUTSIDE = 2.5  # standard deviations of the evidence around its mean: beyond is elsewhere
 _LEAST_SIGMA_PX = 5.0
 _FEWEST_ELSEWHERE = 100  # events
-_SHARPER = 1.1  # contrast of the events elsewhere, warped, over that as they came
+_SHARPER = 1.1  # contrast of the events elsewhere, warped, over that as they came; of noise about 1
 
 
 def is_confined(
@@ -29,7 +29,7 @@ def is_confined(
 
     Args:
         lattice: of the flow.
-        contrast: at full resolution, where chance alone makes noise no sharper.
+        contrast: at full resolution.
         events: of the window.
         flow: (columns, rows, times, 2) px per window.
         evidence: (nodes,) how much the events say about the flow at each node.

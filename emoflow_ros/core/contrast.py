@@ -21,15 +21,15 @@ from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.smoothing import outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
-ROUNDING = 1e-6  # contrast, over another one, that float32 cannot tell from none
+ROUNDING = 1e-6  # a contrast below this share of another one is float32's rounding of zero
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
-# Pixels of the image per pixel of the sensor, at full resolution. In the sensor's own pixels events
-# that have not moved lie exactly upon each other, and look sharper than they are.
+# Pixels of an image of warped events per pixel of the working image, at full resolution. With 1
+# events that have not moved lie exactly upon each other, and look sharper than they are.
 SAMPLING = 0.6
 # Taps that smooth the image. Bilinear votes have blurred it by a variance of 1/6 already. Both
 # together blur like votes and a Gaussian of one pixel in an image of the sensor's pixels.
-SIDE = (SAMPLING**2 * (1 + 1 / 6) - 1 / 6) / 2
-TAPS = np.array([SIDE, 1 - 2 * SIDE, SIDE], np.float32)
+_SIDE = (SAMPLING**2 * (1 + 1 / 6) - 1 / 6) / 2
+TAPS = np.array([_SIDE, 1 - 2 * _SIDE, _SIDE], np.float32)
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: it is costly, and a mean
 
 F32 = NDArray[np.float32]
@@ -72,7 +72,7 @@ class Contrast:
 
     Args:
         lattice: the flow field's lattice.
-        scale: resolution; at 1 an image has SAMPLING pixels per pixel of the sensor.
+        scale: resolution; at 1 an image has SAMPLING pixels per pixel of the working image.
 
     Raises:
         ValueError: the lattice has not two times.
@@ -83,7 +83,7 @@ class Contrast:
             raise ValueError(f"a contrast needs a lattice of {TIMES} times, not {lattice.times}")
         self.lattice = lattice
         self.scale = scale
-        self._zoom = SAMPLING * scale  # image pixels per sensor pixel
+        self._zoom = SAMPLING * scale  # pixels per pixel of the working image
         self._area = self._zoom**2  # makes contrasts of all scales alike
         self._taps, self._taps_twice = outwards(TAPS), outwards(np.convolve(TAPS, TAPS))
         margin = 2 * kernels.MARGIN

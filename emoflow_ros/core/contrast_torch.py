@@ -33,7 +33,7 @@ class TorchContrast:
 
     Args:
         lattice: the flow field's lattice.
-        scale: resolution; at 1 an image has SAMPLING pixels per pixel of the sensor.
+        scale: resolution; at 1 an image has SAMPLING pixels per pixel of the working image.
         device: of torch.
         capacity: the most events that a window holds.
     """
@@ -44,7 +44,7 @@ class TorchContrast:
         self.lattice = lattice
         self.scale = scale
         self._again = partial(TorchContrast, lattice, scale, device=device, capacity=capacity)
-        self._zoom = SAMPLING * scale  # image pixels per sensor pixel
+        self._zoom = SAMPLING * scale  # pixels per pixel of the working image
         self._area = self._zoom**2
         self._shift = (MARGIN + 0.5) * self._zoom - 0.5
         height = int((lattice.height + 2 * MARGIN) * self._zoom) + 1
@@ -84,7 +84,7 @@ class TorchContrast:
         return self._energy(self._draw(position, weights)).item()
 
     def gain(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of the warped events over that of the events as they came; 0 where that is 0."""
+        """Contrast of the warped events over that as they came; 0 where that is rounding."""
         self._load(events, flow)
         sharp = self._energy(self._draw(self._warp(), self._events.weights))
         x, y, _, weights = self._events.columns

@@ -112,7 +112,7 @@ class ModelSelector:
 def _evident_norm(flow: Array, information: Array) -> Array:
     """Norm of each node's flow in the directions that events see: edges hide one."""
     seen = ((flow[:, None] @ information)[:, 0] * flow).sum(-1)
-    seen = np.maximum(seen, 0.0)  # rounding makes a little less of the zero along a lone edge
+    seen = np.maximum(seen, 0.0)  # else rounding may leave less than zero
     return np.sqrt(2 * seen / (np.trace(information, axis1=1, axis2=2) + 1e-12))
 
 

@@ -1,4 +1,4 @@
-"""Gaussian smoothing of images, in numba."""
+"""Smoothing of images by symmetric kernels, in numba."""
 
 import numba
 import numpy as np

@@ -149,7 +149,10 @@ def spread(events: Events, count: int) -> Events:
 
 
 def first_of_latest(events: Events, count: int) -> int:
-    """Index of the first of the latest events that stand for `count`; 0 if all are fewer."""
+    """Index of the first of the latest events that stand for at most `count` of the stream.
+
+    0 if all are no more, the number of events if the last one alone stands for more.
+    """
     if events.stands_for is None:
         return max(0, len(events) - count)
     return _first_of_latest(np.ascontiguousarray(events.stands_for), count)

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _BEGIN, _END = 0.2, 0.8  # part of the window that is its middle
 _EVENTS = 8_000  # are enough for three numbers
 _FEWEST_EVENTS = 300
-# Scale of the image and steps: coarse first, for a step from none may be too long at a fine one.
+# Scale and steps. Steps at 1/2 alone do not converge: the first one is too long.
 _STEPS = ((0.25, 1), (0.5, 1))
 _EXPECTED = np.radians(8.0)  # rad/s, standard deviation of a tremor in each axis
 # Control points of the cubic B-spline 1 - 12 (s - 1/2)^2: 1 in the middle, 0 in the mean.

@@ -184,7 +184,7 @@ def test_curvature_is_positive_semidefinite_and_leads_uphill():
 
 
 def test_one_event_by_hand():
-    """Half the sum of squares of a Gaussian blob of the event's weight."""
+    """Half the sum of squares of a smoothed dot of the event's weight."""
     events = WindowEvents(*np.float32([*on_pixels([51], [36]), [0.5], [3.0]]))
     contrast = Contrast(LATTICE, 1.0)
     value = contrast.sharpen(events, constant(5, 5))
@@ -217,7 +217,21 @@ def test_a_lattice_of_other_times_is_refused():
 
 def test_unlike_polarities_cancel():
     events = WindowEvents(*np.float32([[60, 60], [40, 40], [0.5, 0.5], [1, -1]]))
-    assert Contrast(LATTICE, 1.0).score(events, 0.0, 0.0) == 0
+    contrast = Contrast(LATTICE, 1.0)
+    assert contrast.score(events, 0.0, 0.0) == 0
+    assert contrast.gain(events, constant(5, 5)) == 0
+
+
+def test_the_gain_over_nothing_but_rounding_is_none():
+    """The votes of many ON and OFF events of equal places do not cancel to the last bit."""
+    rng = np.random.default_rng(0)
+    x, y = np.repeat(rng.integers(10, 80, (2, 3000)), 2, axis=1).astype(np.float32)
+    s = np.sort(rng.random(len(x))).astype(np.float32)
+    events = WindowEvents(x, y, s, np.float32([1.1, -1.1] * 3000))
+    contrast = Contrast(LATTICE, 1.0)
+    left = contrast.score(events, 0.0, 0.0)
+    assert 0 < left < 1e-6 * contrast.sharpen(events, constant(9, -4))
+    assert contrast.gain(events, constant(9, -4)) == 0
 
 
 @pytest.mark.parametrize("scale", SCALES)
