@@ -14,7 +14,7 @@ seldom wrong in the same way a quarter of a second later.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,22 +62,21 @@ class KnownScene:
 
     def fit(
         self,
-        contrast: ImageContrast,
+        contrasts: Mapping[float, ImageContrast],
+        steps: Sequence[tuple[float, int]],
         events: WindowEvents,
         duration: float,
         prior: tuple[Array, Array],
-        start: Array,
-        steps: int,
     ) -> tuple[Array, Array]:
         """Fit the change of the motion to events, by Newton steps on their contrast.
 
         Args:
-            contrast: at one scale.
+            contrasts: by scale.
+            steps: scales and how many steps at each, in turn.
             events: of the window.
             duration: of the window, s.
-            prior: expected change (m,) and the information (m, m) on it; m = 3 leaves v as it is.
-            start: (m,).
-            steps: how many.
+            prior: expected change (m,), to start from, and the information (m, m) on it; m = 3
+                leaves v as it is.
 
         Returns:
             The change (m,) of w in rad/s and v, and the information (m, m) on it.
@@ -86,9 +85,9 @@ class KnownScene:
             numpy.linalg.LinAlgError: there is no best change.
         """
         expected, certainty = prior
-        change, information = start, certainty
-        by_motion = np.ascontiguousarray(duration * self.by_motion[..., : len(start)])
-        for _ in range(steps):
+        change, information = expected, certainty
+        by_motion = np.ascontiguousarray(duration * self.by_motion[..., : len(expected)])
+        for contrast in (contrasts[scale] for scale, number in steps for _ in range(number)):
             cells = contrast.linearise(events, self.field(contrast.lattice, duration, change))
             force, curvature = cells.project(by_motion)
             information = curvature / INFORMATION_EXCESS + certainty
@@ -235,13 +234,10 @@ class EarlierScenes:
         known = self._carried(scene, middle)
         free = 6 if scene.travels else 3
         covariance = scene.covariance + np.diag(self._drift * (middle - scene.t) / NS_PER_S)
-        change = np.zeros(free)
         few = events.every(max(1, len(events) // _EVENTS))
         try:
-            prior = change, np.linalg.inv(covariance[:free, :free])
-            for scale, steps in _STEPS:
-                contrast = self._contrasts[scale]
-                change, _ = known.fit(contrast, few, window.duration, prior, change, steps)
+            prior = np.zeros(free), np.linalg.inv(covariance[:free, :free])
+            change, _ = known.fit(self._contrasts, _STEPS, few, window.duration, prior)
         except np.linalg.LinAlgError:
             return None
         w = scene.w + change[:3]

@@ -30,8 +30,7 @@ Array = NDArray[np.float64]
 _LONGEST_NS = 600 * NS_PER_MS  # from the last estimate's time to now
 _EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
-_SCALE = 0.5  # of the image: wide maxima, for the motion may have changed much
-_STEPS = 2
+_STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
 _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
 _GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
 # Largest age of the newest reading where the gyro alone tells the motion.
@@ -75,7 +74,7 @@ class PresentMotion:
         self._image = WorkingImage.of(camera)
         self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
-        self._contrast = Contrast(self._lattice, _SCALE)
+        self._contrasts = {scale: Contrast(self._lattice, scale) for scale, _ in _STEPS}
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
         self._scene: _Scene | None = None
 
@@ -146,10 +145,9 @@ class PresentMotion:
         if events is None:
             return False
         try:
-            predicted = change[:free].copy()
-            prior = predicted, np.linalg.inv(covariance[:free, :free])
+            prior = change[:free].copy(), np.linalg.inv(covariance[:free, :free])
             change[:free], information = known.fit(
-                self._contrast, events, part.duration, prior, predicted, _STEPS
+                self._contrasts, _STEPS, events, part.duration, prior
             )
             covariance[:free, :free] = np.linalg.inv(information)
         except np.linalg.LinAlgError:

@@ -90,14 +90,10 @@ class Tremor:
         nodes = flow.mean(axis=2).reshape(-1, 2).astype(np.float64)
         known = KnownScene.at_depths(self._epipolar, nodes, np.zeros(len(nodes)))
         none = np.zeros(3), np.eye(3) / expected**2
-        change, information = none
         try:
-            for scale, steps in _STEPS:
-                contrast = self._contrasts[scale]
-                change, information = known.fit(contrast, few, 1.0, none, change, steps)
+            return known.fit(self._contrasts, _STEPS, few, 1.0, none)
         except np.linalg.LinAlgError:
             return None
-        return change, information
 
     def _bent(self, estimate: Estimate, w: Array) -> Estimate:
         """Add w (3,), rad/s, to motion and flow in the middle, and take it away towards both ends.

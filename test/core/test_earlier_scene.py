@@ -97,10 +97,7 @@ def test_events_tell_how_the_motion_has_changed(free):
     known = KnownScene.at_depths(EPIPOLAR, rigid(W, V), INVERSE_DEPTH)
     v = V_LATER if free == 6 else V
     prior = np.zeros(free), 1e-3 * np.eye(free)
-    change, information = known.fit(
-        SCALES[0.5], moving(rigid(W_LATER, v)), SECONDS, prior,
-        np.zeros(free), 4,
-    )  # fmt: skip
+    change, information = known.fit(SCALES, ((0.5, 4),), moving(rigid(W_LATER, v)), SECONDS, prior)
     np.testing.assert_allclose(change[:3], W_LATER - W, atol=0.03)
     np.testing.assert_allclose(change[3:], (v - V)[: free - 3], atol=0.1)
     assert (np.linalg.eigvalsh(information) > 1e-3).all()
@@ -109,10 +106,8 @@ def test_events_tell_how_the_motion_has_changed(free):
 def test_a_prior_that_is_certain_decides():
     known = KnownScene.at_depths(EPIPOLAR, rigid(W, V), INVERSE_DEPTH)
     expected = np.array([0.02, 0.0, -0.01, 0.1, 0.0, 0.0])
-    change, _ = known.fit(
-        SCALES[0.5], moving(rigid(W_LATER, V_LATER)), SECONDS,
-        (expected, 1e12 * np.eye(6)), np.zeros(6), 2,
-    )  # fmt: skip
+    certain = expected, 1e12 * np.eye(6)
+    change, _ = known.fit(SCALES, ((0.5, 2),), moving(rigid(W_LATER, V_LATER)), SECONDS, certain)
     np.testing.assert_allclose(change, expected, atol=1e-6)
 
 

@@ -2,12 +2,11 @@
 
 The normalised error squared (Bar-Shalom et al., 2001) of w, over 3, and of v across its direction,
 over 2, is 1 on average for a covariance that is right. This smooth surface has no edges of depth,
-whose errors the covariance counts: 0.3 to 0.4 here. The lower bound is that of the scoreboard. With
-exact events the errors are smaller still than the covariance, which does not know how exact events
-are: there the errors themselves are bounded.
+whose errors the covariance counts: 0.2 to 0.4 here. The lower bound is that of the scoreboard.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -80,10 +79,18 @@ class Scene:
         return Window(0, DURATION_NS, events)
 
 
-def normalised_errors(
-    scene: Scene, noise_px: float, rng: np.random.Generator
-) -> tuple[float, float]:
-    """Of w, over 3, and of v across its direction, over 2, in one window without a past."""
+@cache
+def errors_of_motions(noise_px: float) -> Array:
+    """Errors of random motions, (MOTIONS, 4), in one window each without a past.
+
+    Normalised errors squared of w, over 3, and of v across its direction, over 2; then the errors
+    of w in rad/s and of v in rad.
+    """
+    rng = np.random.default_rng(2)
+    return np.array([errors_of(Scene.random(rng), noise_px, rng) for _ in range(MOTIONS)])
+
+
+def errors_of(scene: Scene, noise_px: float, rng: np.random.Generator) -> tuple[float, ...]:
     estimate = LatticeEstimator(CAMERA, CONFIG).estimate(scene.events(rng, noise_px))
     assert estimate.status is Status.OK
     error_w = estimate.angular - scene.w
@@ -96,30 +103,28 @@ def normalised_errors(
     return (
         float(error_w @ np.linalg.solve(of_w, error_w)) / 3,
         float(error_v @ np.linalg.solve(of_v, error_v)) / 2,
+        float(np.linalg.norm(error_w)),
+        float(angle),
     )
 
 
-def rms_deg(angles: list[float]) -> float:
-    return float(np.degrees(np.sqrt(np.mean(np.square(angles)))))
+TOO_CAREFUL = pytest.mark.xfail(
+    strict=True,
+    reason="where events are exact and depths have no edges w is three times better than before, "
+    "and the covariance does not know: the normalised error is 0.24",
+)
 
 
-@pytest.mark.parametrize("noise_px", [0.6, 0.8])
+@pytest.mark.parametrize("noise_px", [pytest.param(0.3, marks=TOO_CAREFUL), 0.6, 0.8])
 def test_errors_of_random_motions_are_as_large_as_the_covariance_says(noise_px):
-    rng = np.random.default_rng(2)
-    errors = [normalised_errors(Scene.random(rng), noise_px, rng) for _ in range(MOTIONS)]
-    of_w, of_v = np.mean(errors, axis=0)
-    assert 0.3 < of_w < 2
-    assert 0.3 < of_v < 2
+    of_w, of_v = errors_of_motions(noise_px)[:, :2].T
+    assert 0.3 < of_w.mean() < 2
+    assert 0.3 < of_v.mean() < 2
 
 
 def test_exact_events_of_a_smooth_surface_give_exact_motions():
     """Images of the sensor's own pixels gave 2.9 deg/s and 5.6 degrees: flows were too small."""
-    rng = np.random.default_rng(2)
-    of_w, of_v = [], []
-    for _ in range(MOTIONS):
-        scene = Scene.random(rng)
-        estimate = LatticeEstimator(CAMERA, CONFIG).estimate(scene.events(rng, 0.3))
-        of_w.append(float(np.linalg.norm(estimate.angular - scene.w)))
-        of_v.append(float(np.arccos(min(1.0, abs(estimate.linear @ scene.v)))))
-    assert rms_deg(of_w) < 1.0
-    assert rms_deg(of_v) < 2.5
+    normalised_w, normalised_v, w, v = errors_of_motions(0.3).T
+    assert normalised_w.mean() < 2 and normalised_v.mean() < 2
+    assert np.degrees(np.sqrt(np.mean(w**2))) < 1.0
+    assert np.degrees(np.sqrt(np.mean(v**2))) < 2.5
