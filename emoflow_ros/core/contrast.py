@@ -86,8 +86,8 @@ class Contrast:
         self._zoom = SAMPLING * scale  # pixels per pixel of the working image
         self._area = self._zoom**2  # makes contrasts of all scales alike
         self._taps, self._taps_twice = outwards(TAPS), outwards(np.convolve(TAPS, TAPS))
-        margin = 2 * kernels.MARGIN
-        shape = tuple(int((n + margin) * self._zoom) + 1 for n in (lattice.height, lattice.width))
+        border = 2 * kernels.MARGIN + 1
+        shape = tuple(int(n * self._zoom) + border for n in (lattice.height, lattice.width))
         self.image = np.zeros(shape, np.float32)  # of all events, as drawn last
         self._parts = np.zeros((PARTS, *shape), np.float32)
         self._cells = Cells.empty(lattice.columns, lattice.rows)

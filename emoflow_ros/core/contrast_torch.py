@@ -46,9 +46,9 @@ class TorchContrast:
         self._again = partial(TorchContrast, lattice, scale, device=device, capacity=capacity)
         self._zoom = SAMPLING * scale  # pixels per pixel of the working image
         self._area = self._zoom**2
-        self._shift = (MARGIN + 0.5) * self._zoom - 0.5
-        height = int((lattice.height + 2 * MARGIN) * self._zoom) + 1
-        width = int((lattice.width + 2 * MARGIN) * self._zoom) + 1
+        self._shift = MARGIN + 0.5 * self._zoom - 0.5
+        height = int(lattice.height * self._zoom) + 2 * MARGIN + 1
+        width = int(lattice.width * self._zoom) + 2 * MARGIN + 1
         self._shape = (height, width)
         self._taps = torch.tensor(TAPS, device=device)
         self._taps_twice = torch.tensor(np.convolve(TAPS, TAPS), device=device)

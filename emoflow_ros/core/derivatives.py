@@ -22,7 +22,7 @@ def pull(
     ref: float,
     position: F32,
     potentials: F32,
-    scale: float,
+    zoom: float,
     factor: float,
     gradient: F32,
 ) -> None:
@@ -35,15 +35,15 @@ def pull(
         events: as they were voted.
         ref, position: the reference time and the (2, N) positions warped to it.
         potentials: (parts, h, w), one for each part of the events; see `contrast.Contrast`.
-        scale: image pixels per sensor pixel.
+        zoom: image pixels per pixel of the working image.
         factor: of the sums.
         gradient: of Cells, written.
     """
     _, h, w = potentials.shape
     values, (cells_x, cells_y) = potentials.ravel(), gradient.shape[:2]
     one, half, nothing = np.float32(1), np.float32(0.5), np.float32(0)
-    shift = np.float32((MARGIN + 0.5) * scale - 0.5)
-    zoom, middle = np.float32(scale), np.float32(ref)
+    shift = np.float32(MARGIN + 0.5 * zoom - 0.5)
+    per_px, middle = np.float32(zoom), np.float32(ref)
     last_x, last_y = np.float32(w - 2), np.float32(h - 2)
     below, down = np.int32(w), np.uint32(w)
     size, next_one = np.int32(h * w), np.uint32(1)  # without a sign: see `kernels.vote`
@@ -55,7 +55,7 @@ def pull(
         x0 = x1 = x2 = x3 = x4 = x5 = x6 = x7 = nothing
         y0 = y1 = y2 = y3 = y4 = y5 = y6 = y7 = nothing
         for k in range(len(s)):
-            px, py = x[k] * zoom + shift, y[k] * zoom + shift
+            px, py = x[k] * per_px + shift, y[k] * per_px + shift
             inside = (px >= one) & (py >= one) & (px < last_x) & (py < last_y)
             px, py = px if inside else one, py if inside else one
             i, j = np.int32(py), np.int32(px)
@@ -63,7 +63,7 @@ def pull(
             at = np.uint32(part[k] * size + i * below + j)
             p00, p01 = values[at], values[at + next_one]
             p10, p11 = values[at + down], values[at + down + next_one]
-            lever = weights[k] * (middle - s[k]) * zoom if inside else nothing
+            lever = weights[k] * (middle - s[k]) * per_px if inside else nothing
             gx = lever * ((one - fy) * (p01 - p00) + fy * (p11 - p10))
             gy = lever * ((one - fx) * (p10 - p00) + fx * (p11 - p01))
             # The change in time acts through the acceleration, too: as at half the way to `ref`.
@@ -89,7 +89,7 @@ def stiffen(
     ref: float,
     position: F32,
     potentials: F32,
-    scale: float,
+    zoom: float,
     stride: int,
     factor: float,
     curvature: F32,
@@ -99,7 +99,7 @@ def stiffen(
     It is the potential's negative Hessian at x', cut to its positive semidefinite part.
 
     Args:
-        events, ref, position, potentials, scale: as in `pull`.
+        events, ref, position, potentials, zoom: as in `pull`.
         stride: the events that are taken count this many times.
         factor: of the sums.
         curvature: of Cells, written.
@@ -107,8 +107,8 @@ def stiffen(
     _, h, w = potentials.shape
     values, (cells_x, cells_y) = potentials.ravel(), curvature.shape[:2]
     two, half, quarter = np.float32(2), np.float32(0.5), np.float32(0.25)
-    shift = np.float32((MARGIN + 0.5) * scale - 0.5)
-    zoom, middle, share = np.float32(scale), np.float32(ref), np.float32(factor * stride)
+    shift = np.float32(MARGIN + 0.5 * zoom - 0.5)
+    per_px, middle, share = np.float32(zoom), np.float32(ref), np.float32(factor * stride)
     right, down = np.uint64(1), np.uint64(w)
     most = -(-len(events.s) // stride)
     xx, xy, yy = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
@@ -121,12 +121,12 @@ def stiffen(
             k = first + n * stride
             fx[n], fy[n] = events.right[k], events.down[k]
             ft[n] = half * (events.s[k] + middle)
-            px = position[0, k] * zoom + shift
-            py = position[1, k] * zoom + shift
+            px = position[0, k] * per_px + shift
+            py = position[1, k] * per_px + shift
             xx[n] = xy[n] = yy[n] = np.float32(0)
             if not (px >= 1 and py >= 1 and px < w - 2 and py < h - 2):
                 continue
-            dt = (middle - events.s[k]) * zoom
+            dt = (middle - events.s[k]) * per_px
             lever = events.weights[k] * dt * dt * share
             i, j = np.int32(py + half), np.int32(px + half)
             at = np.uint64((events.part[k] * h + i) * w + j)

@@ -12,7 +12,7 @@ from emoflow_ros.core.window_events import CellEvents
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
-MARGIN = 12  # px around the image of warped events, for those that leave the sensor
+MARGIN = 7  # image pixels around the sensor, for warped events that leave it
 
 # Sums may be taken in any order, but NaN and infinity stay what they are: outside the image.
 fast = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
@@ -80,24 +80,24 @@ def shift(x: F32, y: F32, s: F32, u: float, v: float) -> F32:
 
 
 @fast
-def vote(position: F32, weights: F32, part: I32, scale: float, images: F32) -> None:
+def vote(position: F32, weights: F32, part: I32, zoom: float, images: F32) -> None:
     """Add weighted events to images by bilinear voting; the images are cleared first.
 
     Args:
         position: (2, N) px of the sensor; what lies outside the margin is left out.
         weights: (N,).
         part: (N,) the image of each event.
-        scale: image pixels per sensor pixel.
+        zoom: image pixels per pixel of the working image.
         images: (parts, h, w), written.
     """
     _, h, w = images.shape
     images[:] = 0.0
     pixels = images.ravel()
-    shift, zoom, one = np.float32((MARGIN + 0.5) * scale - 0.5), np.float32(scale), np.float32(1)
+    shift, per_px, one = np.float32(MARGIN + 0.5 * zoom - 0.5), np.float32(zoom), np.float32(1)
     right, down = np.uint64(1), np.uint64(w)  # indices without a sign cannot count from the end
     for k in range(len(weights)):
-        px = position[0, k] * zoom + shift
-        py = position[1, k] * zoom + shift
+        px = position[0, k] * per_px + shift
+        py = position[1, k] * per_px + shift
         if px >= 1 and py >= 1 and px < w - 2 and py < h - 2:
             i = np.int32(py)
             j = np.int32(px)

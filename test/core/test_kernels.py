@@ -45,9 +45,9 @@ def node_weights(x, y, s):
 
 
 def voted(position, weights, scale, shape):
-    """Bilinear votes; the sensor's pixel (0, 0) has its centre at (margin + 1/2) * scale."""
+    """Bilinear votes; the sensor's pixel (0, 0) has its centre at margin + scale / 2."""
     image = np.zeros(shape)
-    at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
+    at = kernels.MARGIN + (position.astype(np.float64) + 0.5) * scale - 0.5
     inside = (at[0] >= 1) & (at[1] >= 1) & (at[0] < shape[1] - 2) & (at[1] < shape[0] - 2)
     at, weights = at[:, inside], weights[inside]
     (j, i), (fx, fy) = np.floor(at).astype(int), at % 1
@@ -111,7 +111,7 @@ def slow_pull(events, ref, position, potentials, scale):
     gradient, curvature = np.zeros(n), np.zeros((n, n))
     s, weights = events.s, events.weights
     basis = node_weights(events.x, events.y, (s + ref) / 2).reshape(EVENTS, -1)
-    at = (position.astype(np.float64) + kernels.MARGIN + 0.5) * scale - 0.5
+    at = kernels.MARGIN + (position.astype(np.float64) + 0.5) * scale - 0.5
     for k in range(EVENTS):
         p = potentials[events.part[k]].astype(np.float64)
         (j, i), (fx, fy) = np.floor(at[:, k]).astype(int), at[:, k] % 1
