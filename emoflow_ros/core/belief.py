@@ -26,8 +26,10 @@ INFORMATION_EXCESS = 10.0
 _FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many windows
 _MAX_APPROACH = 0.2  # approach, depths per window
 
-# Weights of the control points in the mean of the spline over the window.
+# Weights of the control points in the spline's mean over the window, and in half of its change.
 _MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
+_SLOPE = np.array([-1.0, -3.0, 3.0, 1.0]) / 12
+_SLOPE_ERROR = 1e-3  # rad/s, of half of the change that a gyro tells: the spline is no parabola
 
 
 @dataclass(frozen=True)
@@ -206,27 +208,34 @@ def _lines(epipolar: NodeEpipolar, v: Array) -> tuple[Array, Array]:
 class KnownRotation:
     """The angular velocity of a window, in rad per window, and how well it is known.
 
-    Only its mean takes part in the fit: tied to the slope, too, the fit converges worse.
+    Mean and slope take part in the fit.
 
     Attributes:
         mean: (3,).
         information: (3, 3) of the mean, in units of the normal equations, which are too sure by
             INFORMATION_EXCESS.
         slope: (3,) half of its change over the window.
+        slope_information: (3, 3) likewise.
         bend: (3,) what it is in the middle of the window, less the mean.
     """
 
     mean: Array
     information: Array
     slope: Array
+    slope_information: Array
     bend: Array
 
     @classmethod
     def measured(cls, measurement: GyroMeasurement, duration: float) -> Self:
         """Take it from a gyro's measurement of a window of `duration` seconds."""
-        information = INFORMATION_EXCESS * np.linalg.inv(measurement.covariance) / duration**2
+        of_mean, of_slope = measurement.covariances[:2]
+        information, slope_information = (
+            INFORMATION_EXCESS * np.linalg.inv(covariance) / duration**2
+            for covariance in (of_mean, of_slope + _SLOPE_ERROR**2 * np.eye(3))
+        )
         mean, slope = duration * measurement.coefficients[:2]
-        return cls(mean, information, slope, duration * measurement.middle - mean)
+        bend = duration * measurement.middle - mean
+        return cls(mean, information, slope, slope_information, bend)
 
     def control_points(self) -> Array:
         """Build the control points (4, 3) of mean and slope."""
@@ -241,6 +250,10 @@ class KnownRotation:
             corner_vector: (M,).
         """
         unknowns = 3 * CONTROL_POINTS
-        corner[:unknowns, :unknowns] += np.kron(np.outer(_MEAN, _MEAN), self.information)
-        surprise = self.information @ (self.mean - _MEAN @ w)
-        corner_vector[:unknowns] += np.kron(_MEAN, surprise)
+        for weights, known, information in (
+            (_MEAN, self.mean, self.information),
+            (_SLOPE, self.slope, self.slope_information),
+        ):
+            corner[:unknowns, :unknowns] += np.kron(np.outer(weights, weights), information)
+            surprise = information @ (known - weights @ w)
+            corner_vector[:unknowns] += np.kron(weights, surprise)

@@ -27,7 +27,7 @@ class LatticeConfig:
         maximum=100.0,
     )
     smoothness_in_time: float = option(
-        1.0, "weight of the flow's change within the window", minimum=1e-3, maximum=1e3
+        0.01, "weight of the flow's change within the window", minimum=1e-3, maximum=1e3
     )
     dec_weight: float = option(
         20.0,

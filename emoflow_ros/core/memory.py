@@ -96,9 +96,10 @@ class Memory:
         )
         if self.belief is None:
             return None
-        return MotionPrior.carried(
-            self.belief, window, config.angular_drift, config.direction_drift
-        )
+        turning = self.motion.at(min(1.0, 0.5 + ahead))[0] - self.motion.at(0.5)[0]
+        seconds = (self.t_end - self.t_start) / NS_PER_S
+        belief = replace(self.belief, w=self.belief.w + turning / seconds)
+        return MotionPrior.carried(belief, window, config.angular_drift, config.direction_drift)
 
     def _scale(self, window: Window) -> tuple[float, float]:
         """Length of a later window and way to its middle, both in lengths of this one."""

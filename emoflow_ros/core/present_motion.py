@@ -3,8 +3,8 @@
 A window's estimate holds at its middle, and comes after its last event by the time that it takes to
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
 makes of it: that is six numbers (core.earlier_scene), for which a short slice of events is enough.
-The contrast of the slice's events and the window's estimate, carried on by a random walk or by a
-gyro, decide on w and v together.
+The contrast of the slice's events and the window's estimate decide on w and v together. The latter
+is carried on by the window's own change of w and a random walk, or by a gyro.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
 
-_LONGEST_NS = 600 * NS_PER_MS  # from the last estimate's time to now
+_LONGEST_NS = 600 * NS_PER_MS  # from the middle of the last window to now
 _EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
 _STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
@@ -38,25 +38,35 @@ _GYRO_FRESH_NS = 20 * NS_PER_MS
 # Variance of the change of w since the window over its square: the scene has moved since, and its
 # depths are not exact.
 _CHANGE_ERROR = 0.2
-_EXPECTED_DRIFT = 0.5  # of the configured one: what most recordings show
+_EXPECTED_DRIFT = 0.15  # of the configured one: what most recordings show
+_LEAST_SINCE_S = 0.01  # over which a change tells of the drift
+_FADES_S = 0.06  # time in which the slope of w becomes smaller by a factor of e
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
 
 @dataclass(frozen=True)
 class _Scene:
-    """What a window has shown: its motion (w, v) at time t (ns), in rad/s, and the scene.
+    """What a window has shown at its end, t (ns): the motion (w, v), in rad/s, and the scene.
 
-    `known` is None where the window had no flow. `gyro` is the gyro's angular velocity at t, or
-    None.
+    `until` is the last time that it tells of. `slope` is the change of w within the window,
+    rad/s^2. `known` is None where the window had no flow. `gyro` is the gyro's angular velocity at
+    t, or None.
     """
 
     t: int
+    until: int
     length_ns: int
     motion: Array
+    slope: Array
     covariance: Array
     known: KnownScene | None
     travels: bool
     gyro: Array | None
+
+    def turned(self, t: int) -> Array:
+        """Change of w (3,) from the scene's time to t, ns: as in the window, but it fades."""
+        ahead = (t - self.t) / NS_PER_S
+        return self.slope * (_FADES_S * -np.expm1(-ahead / _FADES_S) if ahead > 0 else ahead)
 
 
 class PresentMotion:
@@ -104,20 +114,21 @@ class PresentMotion:
             after a window without a flow, without readings of the gyro from the last 20 ms.
         """
         scene = self._scene
-        if scene is None or not scene.t < window.t_end <= scene.t + _LONGEST_NS:
+        if scene is None or not scene.t < window.t_end <= scene.until:
             return None
         part = clean(window, self._image.sensor).since(window.t_end - scene.length_ns)
         middle = (part.t_start + part.t_end) // 2
         gyro = None if _is_frozen(window) else window.gyro
         turned = self._turned(scene, middle, gyro)
         drift = self._drift.copy()
-        if turned is not None:
-            drift[:3] = 0.0
+        change = np.zeros(6)
+        if turned is None:
+            change[:3] = scene.turned(middle)
+        else:
+            change[:3], drift[:3] = turned, 0.0
         since = max(0, middle - scene.t) / NS_PER_S
         covariance = scene.covariance + np.diag(drift * since)
-        change = np.zeros(6)
         if turned is not None:
-            change[:3] = turned
             covariance[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
         if scene.known is not None:
             if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
@@ -127,9 +138,11 @@ class PresentMotion:
         now = self._turned(scene, window.t_end, gyro)
         if turned is not None and now is not None:
             change[:3] += now - turned
-        elif since > 0:
-            squared = float(change[:3] @ change[:3])
-            drift[:3] = _drift_by(self._drift[0], squared, since)
+        else:
+            surprise = change[:3] - scene.turned(middle)
+            squared = float(surprise @ surprise)
+            change[:3] += scene.turned(window.t_end) - scene.turned(middle)
+            drift[:3] = _drift_by(self._drift[0], squared, max(since, _LEAST_SINCE_S))
             covariance[:3, :3] += _CHANGE_ERROR * squared / 3 * np.eye(3)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
         return _read(window.t_end, scene, change, covariance)
@@ -155,15 +168,21 @@ class PresentMotion:
         return True
 
     def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> _Scene:
-        w, v = estimate.angular, estimate.linear
-        known = None if estimate.flow is None else self._shown(estimate.flow, estimate.t, w, v)
+        motion, length = estimate.motion, estimate.t_end - estimate.t_start
+        assert motion is not None
+        t = estimate.t_end - _GYRO_MEAN_NS
+        w, v = motion.angular(t), motion.linear(t)
+        turn_of_window = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
+        slope = turn_of_window * (NS_PER_S / length)
+        known = None if estimate.flow is None else self._shown(estimate.flow, t, w, v)
         travels = estimate.translation_observable
         turn = None
         if estimate.gyro.state is GyroState.USED:
-            turn = _measured(gyro, estimate.t)
-        length = estimate.t_end - estimate.t_start
-        motion = np.concatenate([w, v])
-        return _Scene(estimate.t, length, motion, motion_covariance(estimate), known, travels, turn)
+            turn = _measured(gyro, t)
+        return _Scene(
+            t, estimate.t + _LONGEST_NS, length, np.concatenate([w, v]), slope,
+            motion_covariance(estimate), known, travels, turn,
+        )  # fmt: skip
 
     def _shown(self, flow: FlowSampler, t: int, w: Array, v: Array) -> KnownScene:
         """Take the scene from a flow and the motion (w, v) at time t, ns."""

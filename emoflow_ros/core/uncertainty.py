@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 # Variance of a node's flow that more events do not reduce, px^2 per window^2 (docs/method.md). It
 # comes from depth edges and from the lattice between its nodes.
-_LASTING_PX2 = 0.6
+_LASTING_PX2 = 0.4
 _USUAL_MISFIT = 0.1  # least residual cost over what _LASTING_PX2 explains, median over windows
 _LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the usual one
 

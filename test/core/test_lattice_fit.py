@@ -1,11 +1,15 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import GREVILLE
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_fit import LatticeFit
+from emoflow_ros.core.memory import Memory
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
@@ -42,3 +46,18 @@ def test_flow_from_behind_the_camera_is_drawn_to_none(fit, sign):
 
 def test_without_a_known_side_nothing_is_behind(fit):
     assert not fit._front_term(fit.motion)[1].any()
+
+
+@pytest.mark.parametrize(("begin_ms", "turned"), [(0, 0.0), (25, 0.5), (50, 1.0), (400, 1.0)])
+def test_a_window_expects_the_rotation_of_the_last_spline_in_its_middle(fit, begin_ms, turned):
+    """At most that of the last window's end: 5 deg/s more than in its middle."""
+    w, more = np.array([0.3, -0.1, 0.2]), np.radians([5.0, -2.0, 1.0])
+    points = 0.1 * (w + np.outer(2 * GREVILLE - 1, more))  # of 0.1 s
+    still = np.zeros(LATTICE.shape, np.float32)
+    motion = Motion(points, np.tile(V, (4, 1)))
+    last = Memory(0, 100 * NS_PER_MS, still, motion, Belief.of(0, w, V, np.eye(6)), None)
+    begin = begin_ms * NS_PER_MS
+    prior = last.predict(fit, Window(begin, begin + 100 * NS_PER_MS, Events.empty()))
+    assert prior is not None
+    np.testing.assert_allclose(prior.mean[:3], 0.1 * (w + turned * more), rtol=1e-9)
+    np.testing.assert_allclose(prior.mean[3:], V)

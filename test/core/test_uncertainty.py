@@ -108,14 +108,7 @@ def errors_of(scene: Scene, noise_px: float, rng: np.random.Generator) -> tuple[
     )
 
 
-TOO_CAREFUL = pytest.mark.xfail(
-    strict=True,
-    reason="where events are exact and depths have no edges w is three times better than before, "
-    "and the covariance does not know: the normalised error is 0.24",
-)
-
-
-@pytest.mark.parametrize("noise_px", [pytest.param(0.3, marks=TOO_CAREFUL), 0.6, 0.8])
+@pytest.mark.parametrize("noise_px", [0.3, 0.6, 0.8])
 def test_errors_of_random_motions_are_as_large_as_the_covariance_says(noise_px):
     of_w, of_v = errors_of_motions(noise_px)[:, :2].T
     assert 0.3 < of_w.mean() < 2
