@@ -216,9 +216,11 @@ def test_a_lattice_of_other_times_is_refused():
 
 
 def test_unlike_polarities_cancel():
-    events = WindowEvents(*np.float32([[60, 60], [40, 40], [0.5, 0.5], [1, -1]]))
+    """On pixels of the image, where votes have no fractions to round."""
+    x, y = on_pixels([40, 40], [30, 30])
+    events = WindowEvents(*np.float32([x, y, [0.5, 0.5], [1, -1]]))
     contrast = Contrast(LATTICE, 1.0)
-    assert contrast.score(events, 0.0, 0.0) < 1e-12  # rounding; that of one event is 0.2
+    assert contrast.score(events, 0.0, 0.0) == 0
     assert contrast.gain(events, constant(5, 5)) == 0
 
 
