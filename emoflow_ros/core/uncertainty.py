@@ -22,15 +22,15 @@ Array = NDArray[np.float64]
 # Variance of a node's flow that more events do not reduce, px^2 per window^2 (docs/method.md). It
 # comes from depth edges and from the lattice between its nodes.
 _LASTING_PX2 = 0.4
-_USUAL_MISFIT = 0.1  # least residual cost over what _LASTING_PX2 explains, median over windows
+_USUAL_MISFIT = 0.13  # least residual cost over what _LASTING_PX2 explains, median over windows
 _LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the usual one
 
 # Chosen on the random recordings with seeds 0 to 59 and those of another simulator
 # (docs/method.md).
-_OF_W, _OF_V = 0.45, 0.2  # shares of the distance of the second fit that are w's and v's errors
+_OF_W, _OF_V = 0.35, 0.2  # shares of the distance of the second fit that are w's and v's errors
 # With an earlier scene: share of the same distance that is w's error, and share of the squared
 # difference of the two values of w that is the variance.
-_OF_W_TOO, _OF_EARLIER = 0.2, 0.2
+_OF_W_TOO, _OF_EARLIER = 0.15, 0.05
 # Bounds of that distance, px per window. One distance is a sample and may be small by chance.
 _LEAST_PX, _MOST_PX = 0.3, 4.0
 _LEAST_PARALLAX_PX = 0.1
@@ -185,11 +185,11 @@ class PossibleMotions:
             known: (3, 3) information on w from elsewhere.
         """
         look = float(np.clip(apart.second_look_px, _LEAST_PX, _MOST_PX))
-        of_w = (_OF_W * look / px_per_rad) ** 2
-        of_v = (_OF_V * look / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2
+        share = _OF_W if apart.w is None else _OF_W_TOO
+        of_w = (share * look / px_per_rad) ** 2
         if apart.w is not None:
-            of_w = (_OF_W_TOO * look / px_per_rad) ** 2
             of_w += _OF_EARLIER * float(((w - apart.w) ** 2).sum()) / 3
+        of_v = (_OF_V * look / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2
         covariance = self.spread + np.diag(np.repeat([of_w, of_v], 3))
         if known is None:
             return covariance
