@@ -26,10 +26,12 @@ INFORMATION_EXCESS = 10.0
 _FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many windows
 _MAX_APPROACH = 0.2  # approach, depths per window
 
-# Weights of the control points in the spline's mean over the window, and in half of its change.
+# Weights of the control points in the spline's coefficients of the first two Legendre polynomials,
+# as of a GyroMeasurement: its mean over the window, and half of the change of its best line.
 _MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
-_SLOPE = np.array([-1.0, -3.0, 3.0, 1.0]) / 12
-_SLOPE_ERROR = 1e-3  # rad/s, of half of the change that a gyro tells: the spline is no parabola
+_SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
+# Standard deviation, rad/s, of half of the change that a gyro tells: the spline is no parabola.
+_SLOPE_ERROR = 1e-3
 
 
 @dataclass(frozen=True)

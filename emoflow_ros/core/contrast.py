@@ -86,10 +86,10 @@ class Contrast:
         self._zoom = SAMPLING * scale  # pixels per pixel of the working image
         self._area = self._zoom**2  # makes contrasts of all scales alike
         self._taps, self._taps_twice = outwards(TAPS), outwards(np.convolve(TAPS, TAPS))
-        border = 2 * kernels.MARGIN + 1
-        shape = tuple(int(n * self._zoom) + border for n in (lattice.height, lattice.width))
-        self.image = np.zeros(shape, np.float32)  # of all events, as drawn last
-        self._parts = np.zeros((PARTS, *shape), np.float32)
+        height = int(lattice.height * self._zoom) + 2 * kernels.MARGIN + 1
+        width = int(lattice.width * self._zoom) + 2 * kernels.MARGIN + 1
+        self.image = np.zeros((height, width), np.float32)  # of all events, as drawn last
+        self._parts = np.zeros((PARTS, height, width), np.float32)
         self._cells = Cells.empty(lattice.columns, lattice.rows)
 
     def sharpen(self, events: WindowEvents, flow: F32) -> float:

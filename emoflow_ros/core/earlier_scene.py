@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
 from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
@@ -114,17 +114,20 @@ def inverse_depths(epipolar: NodeEpipolar, flow: Array, w: Array, v: Array) -> A
     return np.maximum(0.0, along / ((line**2).sum(axis=-1) + epipolar.soft**2))
 
 
-def motion_covariance(estimate: Estimate) -> Array:
+def motion_covariance(estimate: Estimate, v: Array) -> Array:
     """Return the covariance (6, 6) of (w, v) of an estimate, v in units of the speed.
 
     Along v it is 1: nobody knows how the speed changes. Where v is not known, w stands alone.
+
+    Args:
+        estimate: of a window.
+        v: (3,) unit direction of travel at the time in the window that is asked for.
     """
     order = np.r_[3:6, 0:3]
     covariance: Array = estimate.covariance[np.ix_(order, order)].copy()
     if estimate.translation_observable:
-        covariance[3:, 3:] += np.outer(estimate.linear, estimate.linear)
-    else:
-        covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
+        return Belief.of(estimate.t, estimate.angular, v, covariance).covariance
+    covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
     return covariance
 
 
@@ -166,7 +169,7 @@ class EarlierScene:
         """Take it from an estimate and the flow (columns, rows, times, 2) of its lattice."""
         return cls(
             estimate.t_start, estimate.t_end, flow, estimate.angular, estimate.linear,
-            motion_covariance(estimate), estimate.translation_observable,
+            motion_covariance(estimate, estimate.linear), estimate.translation_observable,
         )  # fmt: skip
 
     @property

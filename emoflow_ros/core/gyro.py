@@ -177,19 +177,24 @@ class Gyro:
         self._t = t_end
 
     def _errors(self, shape: Shape, duration: float) -> Array:
-        """Covariances (3, 3, 3) of the coefficients without that of the bias."""
+        """Covariances (3, 3, 3) of the coefficients without that of the bias.
+
+        What happens in a gap counts most for coefficient k at an end of the interval, where the
+        polynomial is 1: 2 k + 1 times what it counts for the mean.
+        """
         config = self.config
         noise = math.radians(config.noise) ** 2 / duration
-        change = 2 * shape.coefficients[1] / duration
+        # Changes of the first two coefficients per second that the interval is shifted by.
+        shift = np.array([[2.0], [6.0]]) * shape.coefficients[1:] / duration
         turned = math.radians(config.rotation_error_deg) ** 2
         covariances = np.empty((3, 3, 3))
         for k, row in enumerate(shape.coefficients):
             covariances[k] = (
-                ((2 * k + 1) * (noise + shape.gap_variance)) * np.eye(3)
+                (2 * k + 1) * (noise + (2 * k + 1) * shape.gap_variance) * np.eye(3)
                 + np.diag((config.scale_error * row) ** 2)
                 + turned * (row @ row * np.eye(3) - np.outer(row, row))
             )
-        covariances[0] += _CLOCK_S**2 * np.outer(change, change)
+        covariances[:2] += _CLOCK_S**2 * np.einsum("ki,kj->kij", shift, shift)
         return covariances
 
     def _judge(self, apart: Array, known: Array, speed: float, t: int) -> None:

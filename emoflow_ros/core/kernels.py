@@ -84,7 +84,7 @@ def vote(position: F32, weights: F32, part: I32, zoom: float, images: F32) -> No
     """Add weighted events to images by bilinear voting; the images are cleared first.
 
     Args:
-        position: (2, N) px of the sensor; what lies outside the margin is left out.
+        position: (2, N) px of the working image; what lies outside the margin is left out.
         weights: (N,).
         part: (N,) the image of each event.
         zoom: image pixels per pixel of the working image.

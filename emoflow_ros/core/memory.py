@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import Belief, MotionPrior, Structure
+from emoflow_ros.core.camera_motion import basis
 from emoflow_ros.core.egomotion import Motion
 from emoflow_ros.core.events import NS_PER_S, Window
 from emoflow_ros.core.lattice_fit import LatticeFit
@@ -96,9 +97,11 @@ class Memory:
         )
         if self.belief is None:
             return None
-        turning = self.motion.at(min(1.0, 0.5 + ahead))[0] - self.motion.at(0.5)[0]
+        # Within this window the spline tells how w changes; beyond its end w is held.
+        middle = float(np.clip(0.5 + ahead, 0.0, 1.0))
+        change = (basis(middle) - basis(0.5)) @ self.motion.w
         seconds = (self.t_end - self.t_start) / NS_PER_S
-        belief = replace(self.belief, w=self.belief.w + turning / seconds)
+        belief = replace(self.belief, w=self.belief.w + change / seconds)
         return MotionPrior.carried(belief, window, config.angular_drift, config.direction_drift)
 
     def _scale(self, window: Window) -> tuple[float, float]:

@@ -168,7 +168,8 @@ class MotionChange:
         """Return how far the first or the last third of the window moves off the flow, px.
 
         One Newton step on the contrast of the third's events alone, for a velocity that the whole
-        image shares; the larger of the two displacements within a third.
+        image shares; the larger of the two displacements within a third. One step goes too far, by
+        a fifth where dots move by 1 to 3 px.
 
         Args:
             events: of the window.

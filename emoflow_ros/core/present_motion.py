@@ -3,8 +3,8 @@
 A window's estimate holds at its middle, and comes after its last event by the time that it takes to
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
 makes of it: that is six numbers (core.earlier_scene), for which a short slice of events is enough.
-The contrast of the slice's events and the window's estimate decide on w and v together. The latter
-is carried on by the window's own change of w and a random walk, or by a gyro.
+The contrast of the slice's events and the window's estimate decide on w and v together. The
+estimate is carried on by the window's own change of w and a random walk, or by a gyro.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Status, Twist
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
-from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
+from emoflow_ros.core.gyro_measurement import GyroReadings, Shape, fit_shape
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.preparation import WorkingImage, clean, prepare
@@ -32,41 +32,63 @@ _EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
 _STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
 _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
-_GYRO_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single readings
+_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single gyro readings
 # Largest age of the newest reading where the gyro alone tells the motion.
 _GYRO_FRESH_NS = 20 * NS_PER_MS
-# Variance of the change of w since the window over its square: the scene has moved since, and its
-# depths are not exact.
+# Variance of the change of w that was not predicted over its square: the scene has moved since, and
+# its depths are not exact.
 _CHANGE_ERROR = 0.2
 _EXPECTED_DRIFT = 0.15  # of the configured one: what most recordings show
 _LEAST_SINCE_S = 0.01  # over which a change tells of the drift
-_FADES_S = 0.06  # time in which the slope of w becomes smaller by a factor of e
+# Time in which an angular acceleration becomes smaller by a factor of e: this, or the window's
+# length if that is shorter, for the change within a short window is known less well.
+_FADES_S = 0.06
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
 
 @dataclass(frozen=True)
 class _Scene:
-    """What a window has shown at its end, t (ns): the motion (w, v), in rad/s, and the scene.
+    """What a window has shown near its end.
 
-    `until` is the last time that it tells of. `slope` is the change of w within the window,
-    rad/s^2. `known` is None where the window had no flow. `gyro` is the gyro's angular velocity at
-    t, or None.
+    Attributes:
+        t: the time that motion and scene hold at, ns.
+        valid_until: the last time that it tells of, ns.
+        length_ns: of the window.
+        motion: (6,) w in rad/s and the unit direction v.
+        angular_acceleration: (3,) mean over the window, rad/s^2.
+        covariance: (6, 6) of the motion.
+        known: the scene; None where the window had no flow.
+        travels: whether v is known.
+        gyro: what the gyro measures around t, or None.
     """
 
     t: int
-    until: int
+    valid_until: int
     length_ns: int
     motion: Array
-    slope: Array
+    angular_acceleration: Array
     covariance: Array
     known: KnownScene | None
     travels: bool
-    gyro: Array | None
+    gyro: Shape | None
 
-    def turned(self, t: int) -> Array:
+    def predicted_change(self, t: int) -> Array:
         """Change of w (3,) from the scene's time to t, ns: as in the window, but it fades."""
-        ahead = (t - self.t) / NS_PER_S
-        return self.slope * (_FADES_S * -np.expm1(-ahead / _FADES_S) if ahead > 0 else ahead)
+        ahead, fades = (t - self.t) / NS_PER_S, min(_FADES_S, self.length_ns / NS_PER_S)
+        seconds = -fades * np.expm1(-ahead / fades) if ahead > 0 else ahead
+        return self.angular_acceleration * seconds
+
+    def change_by_gyro(self, gyro: GyroReadings | None, t: int) -> tuple[Array, float] | None:
+        """Change of w (3,) since the scene was seen as a gyro tells it, bias and all.
+
+        Returns:
+            The change, rad/s, and its variance in each axis. None without readings.
+        """
+        now = _measured(gyro, t)
+        if now is None or self.gyro is None:
+            return None
+        change = now.coefficients[0] - self.gyro.coefficients[0]
+        return change, _GYRO_ERROR**2 + now.gap_variance + self.gyro.gap_variance
 
 
 class PresentMotion:
@@ -114,34 +136,34 @@ class PresentMotion:
             after a window without a flow, without readings of the gyro from the last 20 ms.
         """
         scene = self._scene
-        if scene is None or not scene.t < window.t_end <= scene.until:
+        if scene is None or not scene.t < window.t_end <= scene.valid_until:
             return None
         part = clean(window, self._image.sensor).since(window.t_end - scene.length_ns)
         middle = (part.t_start + part.t_end) // 2
         gyro = None if _is_frozen(window) else window.gyro
-        turned = self._turned(scene, middle, gyro)
-        drift = self._drift.copy()
-        change = np.zeros(6)
-        if turned is None:
-            change[:3] = scene.turned(middle)
-        else:
-            change[:3], drift[:3] = turned, 0.0
+        by_gyro = scene.change_by_gyro(gyro, middle)
+        drift, expected = self._drift.copy(), np.zeros(6)
         since = max(0, middle - scene.t) / NS_PER_S
+        if by_gyro is None:
+            expected[:3], variance = scene.predicted_change(middle), 0.0
+        else:
+            expected[:3], variance = by_gyro
+            drift[:3] = 0.0
         covariance = scene.covariance + np.diag(drift * since)
-        if turned is not None:
-            covariance[:3, :3] += _GYRO_ERROR**2 * np.eye(3)
+        covariance[:3, :3] += variance * np.eye(3)
+        change = expected.copy()
         if scene.known is not None:
             if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
                 return None
-        elif turned is None or not _is_fresh(window):
+        elif by_gyro is None or not _is_fresh(window):
             return None
-        now = self._turned(scene, window.t_end, gyro)
-        if turned is not None and now is not None:
-            change[:3] += now - turned
+        surprise = change[:3] - expected[:3]
+        at_end = scene.change_by_gyro(gyro, window.t_end)
+        if by_gyro is not None and at_end is not None:
+            change[:3] += at_end[0] - by_gyro[0]
         else:
-            surprise = change[:3] - scene.turned(middle)
             squared = float(surprise @ surprise)
-            change[:3] += scene.turned(window.t_end) - scene.turned(middle)
+            change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
             drift[:3] = _drift_by(self._drift[0], squared, max(since, _LEAST_SINCE_S))
             covariance[:3, :3] += _CHANGE_ERROR * squared / 3 * np.eye(3)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
@@ -170,19 +192,22 @@ class PresentMotion:
     def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> _Scene:
         motion, length = estimate.motion, estimate.t_end - estimate.t_start
         assert motion is not None
-        t = estimate.t_end - _GYRO_MEAN_NS
+        t = max(estimate.t, estimate.t_end - _MEAN_NS)
         w, v = motion.angular(t), motion.linear(t)
-        turn_of_window = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
-        slope = turn_of_window * (NS_PER_S / length)
+        change = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
         known = None if estimate.flow is None else self._shown(estimate.flow, t, w, v)
-        travels = estimate.translation_observable
-        turn = None
-        if estimate.gyro.state is GyroState.USED:
-            turn = _measured(gyro, t)
+        used = estimate.gyro.state is GyroState.USED
         return _Scene(
-            t, estimate.t + _LONGEST_NS, length, np.concatenate([w, v]), slope,
-            motion_covariance(estimate), known, travels, turn,
-        )  # fmt: skip
+            t=t,
+            valid_until=estimate.t + _LONGEST_NS,
+            length_ns=length,
+            motion=np.concatenate([w, v]),
+            angular_acceleration=change * (NS_PER_S / length),
+            covariance=motion_covariance(estimate, v),
+            known=known,
+            travels=estimate.translation_observable,
+            gyro=_measured(gyro, t) if used else None,
+        )
 
     def _shown(self, flow: FlowSampler, t: int, w: Array, v: Array) -> KnownScene:
         """Take the scene from a flow and the motion (w, v) at time t, ns."""
@@ -191,11 +216,6 @@ class PresentMotion:
         moved = flow.tracks(points, [t, t + _FLOW_STEP_NS])[1] - points
         rate = moved / image.sensor_px * (NS_PER_S / _FLOW_STEP_NS)
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
-
-    def _turned(self, scene: _Scene, t: int, gyro: GyroReadings | None) -> Array | None:
-        """Change of w (3,) since the scene was seen as the gyro tells it, bias and all."""
-        now = _measured(gyro, t)
-        return None if now is None or scene.gyro is None else now - scene.gyro
 
 
 def _drift_by(configured: float, squared: float, seconds: float) -> float:
@@ -225,14 +245,15 @@ def _is_fresh(window: Window) -> bool:
     return len(readings) > 0 and window.t_end - int(readings.t[-1]) <= _GYRO_FRESH_NS
 
 
-def _measured(gyro: GyroReadings | None, t: int) -> Array | None:
-    """Mean of a gyro's readings (3,) around a time; None if they are not there or not finite."""
+def _measured(gyro: GyroReadings | None, t: int) -> Shape | None:
+    """What a gyro's readings tell around a time; None if they are not there or not finite."""
     if gyro is None:
         return None
-    near = gyro.covering(t - _GYRO_MEAN_NS, t + _GYRO_MEAN_NS)
+    start, end = t - _MEAN_NS, t + _MEAN_NS
+    near = gyro.covering(start, end)
     if len(near) == 0 or not np.isfinite(near.w).all():
         return None
-    return fit_shape(near, t - _GYRO_MEAN_NS, t + _GYRO_MEAN_NS).coefficients[0]
+    return fit_shape(near, start, end)
 
 
 def _read(t: int, scene: _Scene, change: Array, covariance: Array) -> PresentTwist | None:
@@ -243,9 +264,9 @@ def _read(t: int, scene: _Scene, change: Array, covariance: Array) -> PresentTwi
     if scene.travels and length > 0:
         across[3:, 3:] = (np.eye(3) - np.outer(direction, direction)) / length
     order = np.r_[3:6, 0:3]
-    turned = (across @ covariance @ across.T)[np.ix_(order, order)]
+    of_twist = (across @ covariance @ across.T)[np.ix_(order, order)]
     if not scene.travels:
-        turned = without_travel(turned)
-    if not (np.isfinite(w).all() and np.isfinite(turned).all()):
+        of_twist = without_travel(of_twist)
+    if not (np.isfinite(w).all() and np.isfinite(of_twist).all()):
         return None
-    return PresentTwist(Twist(t, direction, w), 0.5 * (turned + turned.T))
+    return PresentTwist(Twist(t, direction, w), 0.5 * (of_twist + of_twist.T))

@@ -257,7 +257,7 @@ def test_the_covariance_of_a_motion_turns_round_with_its_direction():
     assert found.covariance[1, 3] == -2e-3 and found.across()[0, 4] == -2e-3
     np.testing.assert_allclose(found.covariance[:3, :3], belief.covariance[:3, :3])
     np.testing.assert_allclose(found.covariance[3:, 3:], belief.covariance[3:, 3:])
-    np.testing.assert_allclose(motion_covariance(estimate(800, 0.5)), covariance_of_estimate())
+    np.testing.assert_allclose(motion_covariance(estimate(800, 0.5), V), covariance_of_estimate())
 
 
 def covariance_of_estimate() -> np.ndarray:

@@ -78,6 +78,34 @@ def test_covariance_has_bias_scale_and_mounting():
     assert np.sqrt(covariance[1, 1]) == pytest.approx(np.hypot(bias, 3 * np.radians(1.0)), rel=0.01)
 
 
+def test_covariance_of_the_first_two_coefficients_has_the_clock():
+    """An offset of the clock shifts w(t): mean and slope change by the slope and the bend."""
+
+    def w(x: float) -> np.ndarray:
+        return np.array([0.3, 4.0 * x, 100.0 * x**2])
+
+    got = Gyro(PERFECT).measure(START, START + WINDOW, readings(w))
+    offset = round(0.5 * MS)
+    shifted = Gyro(PERFECT).measure(START + offset, START + WINDOW + offset, readings(w))
+    still = Gyro(PERFECT).measure(START, START + WINDOW, readings(lambda x: 0.3))
+    for row in (0, 1):
+        apart = shifted.coefficients[row] - got.coefficients[row]
+        by_change = np.diag(got.covariances[row] - still.covariances[row])
+        np.testing.assert_allclose(np.sqrt(by_change), apart, rtol=0.02, atol=1e-6)
+    assert got.covariances[1][2, 2] > 5e-3**2  # 100 rad/s^3 over 0.5 ms and half of the window
+
+
+def test_readings_that_end_inside_cost_the_slope_more_than_the_mean():
+    """Whatever happens after the last one counts three times as much for it."""
+    found = readings(lambda x: 0.3)
+    before = found.t < START + WINDOW - 20 * MS
+    ended = GyroReadings(found.t[before], found.w[before])
+    whole, held = (Gyro(PERFECT).measure(START, START + WINDOW, r) for r in (found, ended))
+    more = held.covariances[:2, 0, 0] - whole.covariances[:2, 0, 0]
+    mean = 20.0 * 0.021**2 / 2 / 0.135  # 20 rad/s^2 from the last reading on
+    np.testing.assert_allclose(np.sqrt(more), [mean, 3 * mean], rtol=0.1)
+
+
 def test_a_gap_adds_to_the_covariance():
     found = readings(lambda x: 0.3)
     keep = np.abs(found.t - (START + 60 * MS)) > 12 * MS

@@ -48,8 +48,21 @@ def test_without_a_known_side_nothing_is_behind(fit):
     assert not fit._front_term(fit.motion)[1].any()
 
 
-@pytest.mark.parametrize(("begin_ms", "turned"), [(0, 0.0), (25, 0.5), (50, 1.0), (400, 1.0)])
-def test_a_window_expects_the_rotation_of_the_last_spline_in_its_middle(fit, begin_ms, turned):
+@pytest.mark.parametrize(
+    ("begin_ms", "length_ms", "turned"),
+    [
+        (0, 100, 0.0),
+        (25, 100, 0.5),
+        (50, 100, 1.0),
+        (400, 100, 1.0),
+        (70, 30, 0.7),
+        (-40, 100, -0.8),
+        (-200, 300, -1.0),
+    ],
+)
+def test_a_window_expects_the_rotation_of_the_last_spline_in_its_middle(
+    fit, begin_ms, length_ms, turned
+):
     """At most that of the last window's end: 5 deg/s more than in its middle."""
     w, more = np.array([0.3, -0.1, 0.2]), np.radians([5.0, -2.0, 1.0])
     points = 0.1 * (w + np.outer(2 * GREVILLE - 1, more))  # of 0.1 s
@@ -57,7 +70,7 @@ def test_a_window_expects_the_rotation_of_the_last_spline_in_its_middle(fit, beg
     motion = Motion(points, np.tile(V, (4, 1)))
     last = Memory(0, 100 * NS_PER_MS, still, motion, Belief.of(0, w, V, np.eye(6)), None)
     begin = begin_ms * NS_PER_MS
-    prior = last.predict(fit, Window(begin, begin + 100 * NS_PER_MS, Events.empty()))
+    prior = last.predict(fit, Window(begin, begin + length_ms * NS_PER_MS, Events.empty()))
     assert prior is not None
-    np.testing.assert_allclose(prior.mean[:3], 0.1 * (w + turned * more), rtol=1e-9)
+    np.testing.assert_allclose(prior.mean[:3], length_ms / 1000 * (w + turned * more), rtol=1e-9)
     np.testing.assert_allclose(prior.mean[3:], V)
