@@ -7,7 +7,7 @@ elsewhere become sharper, too, however few they are. Where it is at rest, they a
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.contrast import ImageContrast
+from emoflow_ros.core.contrast import ImageContrast, contrast_gain
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.window_events import WindowEvents
 
@@ -42,7 +42,7 @@ def is_confined(
     elsewhere = np.einsum("ni,ij,nj->n", away, inverse, away) > _OUTSIDE**2
     if np.count_nonzero(elsewhere) < _FEWEST_ELSEWHERE:
         return True
-    return contrast.gain(events.at(elsewhere), flow) < _SHARPER
+    return contrast_gain(contrast, events.at(elsewhere), flow) < _SHARPER
 
 
 def spot(lattice: Lattice, evidence: Array) -> tuple[Array, Array]:

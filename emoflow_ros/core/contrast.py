@@ -21,7 +21,7 @@ from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.smoothing import outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
-ROUNDING = 1e-6  # a contrast below this share of another one is float32's rounding of zero
+_ROUNDING = 1e-6  # a contrast below this share of another one is float32's rounding of zero
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 # Pixels of an image of warped events per pixel of the working image, at full resolution. With 1
 # events that have not moved lie exactly upon each other, and look sharper than they are.
@@ -48,12 +48,12 @@ class ImageContrast(Protocol):
         """Resolution: 1, or a part of it."""
         ...
 
-    def score(self, events: WindowEvents, u: float, v: float) -> float:
-        """Contrast of events warped to the middle by a constant flow, px per window."""
+    def sharpen(self, events: WindowEvents, flow: F32) -> float:
+        """Contrast of events warped to the middle by a flow (columns, rows, times, 2)."""
         ...
 
-    def gain(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of the warped events over that of the events as they came."""
+    def score(self, events: WindowEvents, u: float, v: float) -> float:
+        """Contrast of events warped to the middle by a constant flow, px per window."""
         ...
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
@@ -100,16 +100,6 @@ class Contrast:
         """Contrast of events warped to the middle by a constant flow, px per window."""
         return self._draw(kernels.shift(events.x, events.y, events.s, u, v), events.weights)
 
-    def gain(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of the warped events over that of the events as they came.
-
-        0 where the latter is 0 but for rounding, because as many events of either polarity lie at
-        each pixel.
-        """
-        sharp = self.sharpen(events, flow)
-        as_came = self.score(events, 0.0, 0.0)
-        return sharp / as_came if as_came > ROUNDING * sharp else 0.0
-
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts.
 
@@ -145,6 +135,17 @@ class Contrast:
         smooth(self.image[None], self._taps)
         flat = self.image.ravel()
         return 0.5 * self._area * float(flat @ flat)
+
+
+def contrast_gain(contrast: ImageContrast, events: WindowEvents, flow: F32) -> float:
+    """Contrast of the warped events over that of the events as they came.
+
+    0 where the latter is 0 but for rounding, because as many events of either polarity lie at each
+    pixel.
+    """
+    sharp = contrast.sharpen(events, flow)
+    as_came = contrast.score(events, 0.0, 0.0)
+    return sharp / as_came if as_came > _ROUNDING * sharp else 0.0
 
 
 def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: float) -> F32:

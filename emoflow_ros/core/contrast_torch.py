@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from emoflow_ros.core.cells import PAIR, PAIRS_OF_NODES, Cells
-from emoflow_ros.core.contrast import PAIRS, ROUNDING, SAMPLING, TAPS
+from emoflow_ros.core.contrast import PAIRS, SAMPLING, TAPS
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
@@ -83,13 +83,10 @@ class TorchContrast:
         position = torch.stack([x + (0.5 - s) * u, y + (0.5 - s) * v], dim=1)
         return self._energy(self._draw(position, weights)).item()
 
-    def gain(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of the warped events over that as they came; 0 where that is rounding."""
+    def sharpen(self, events: WindowEvents, flow: F32) -> float:
+        """Contrast of events warped to the middle by a flow (columns, rows, times, 2)."""
         self._load(events, flow)
-        sharp = self._energy(self._draw(self._warp(), self._events.weights))
-        x, y, _, weights = self._events.columns
-        as_came = self._energy(self._draw(torch.stack([x, y], dim=1), weights))
-        return torch.where(as_came > ROUNDING * sharp, sharp / as_came, 0.0).item()
+        return self._energy(self._draw(self._warp(), self._events.weights)).item()
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts."""

@@ -12,7 +12,7 @@ from emoflow_ros.core.belief import KnownRotation, MotionPrior
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.confinement import is_confined
-from emoflow_ros.core.contrast import Contrast, ContrastFactory
+from emoflow_ros.core.contrast import Contrast, ContrastFactory, contrast_gain
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
@@ -261,7 +261,7 @@ class LatticeEstimator:
         return after
 
     def _gain(self, events: WindowEvents) -> float:
-        return self._fit.contrasts[1.0].gain(events, self._fit.flow)
+        return contrast_gain(self._fit.contrasts[1.0], events, self._fit.flow)
 
     def _shows_no_motion(self, events: WindowEvents, gain: float) -> bool:
         """Tell whether the fit does not sharpen the events, or one spot is all that moves."""

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import Contrast, ContrastFactory, ImageContrast, best_constant_flow
+from emoflow_ros.core.contrast import (
+    Contrast,
+    ContrastFactory,
+    ImageContrast,
+    best_constant_flow,
+    contrast_gain,
+)
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -119,7 +125,10 @@ class QuickLook:
                 flow = self._fit.flow(events, start)
         except np.linalg.LinAlgError:
             return None
-        if self._contrasts[max(SCALES)].gain(events, flow) < self._config.min_contrast_gain:
+        if (
+            contrast_gain(self._contrasts[max(SCALES)], events, flow)
+            < self._config.min_contrast_gain
+        ):
             return None
         lattice, field = self._image.on_sensor(self._lattice, flow)
         return LatticeFlow(lattice, field, window.t_start, window.t_end)
@@ -148,7 +157,7 @@ def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) 
         flows: to choose from.
     """
     few = _some(events)
-    return max(flows, key=lambda flow: contrast.gain(few, flow))
+    return max(flows, key=lambda flow: contrast.sharpen(few, flow))
 
 
 def cold_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
@@ -176,7 +185,7 @@ def is_lost(contrast: ImageContrast, events: WindowEvents, flow: F32, fresh: F32
         fresh: what `fresh_start` has found.
     """
     few = _some(events)
-    return contrast.gain(few, fresh) > _BETTER * contrast.gain(few, flow)
+    return contrast.sharpen(few, fresh) > _BETTER * contrast.sharpen(few, flow)
 
 
 def _some(events: WindowEvents) -> WindowEvents:
