@@ -1,7 +1,11 @@
-"""Run an estimator over a recording, window by window, and compare it with the truth."""
+"""Run an estimator over a recording, window by window, and compare it with the truth.
+
+A thread compares a window's estimate while the next window is estimated.
+"""
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -135,30 +139,40 @@ def proceed(
         gallery=progress.gallery,
     )
     left = None if max_windows is None else max(0, max_windows - len(run.windows))
-    with tqdm(
-        total=None if recording.duration is None else round(recording.duration, 3),
-        desc=recording.path.name,
-        unit="s",
-        disable=not progress_bar,
-        bar_format=_BAR_OF_UNKNOWN_LENGTH if recording.duration is None else _BAR,
-    ) as bar:
-        began = time.perf_counter()
+    with (
+        tqdm(
+            total=None if recording.duration is None else round(recording.duration, 3),
+            desc=recording.path.name,
+            unit="s",
+            disable=not progress_bar,
+            bar_format=_BAR_OF_UNKNOWN_LENGTH if recording.duration is None else _BAR,
+        ) as bar,
+        ThreadPoolExecutor(1, "compare") as aside,
+    ):
+        began, comparing = time.perf_counter(), Future[None]()
+        comparing.set_result(None)
         try:
             for window in islice(_windows(recording, progress), left):
-                _process(progress, window, truth, gyro, writer, submission)
-                ended = time.perf_counter()
-                progress.wall_s += ended - began
-                began = ended
+                estimate, note = _estimate(progress, window, gyro)
+                comparing.result()
+                comparing = aside.submit(
+                    _compare, progress, window, estimate, note, truth, writer, submission
+                )
                 if checkpoint is not None and checkpoint.is_due():
+                    comparing.result()
+                    began = _count_time(progress, began)
                     if writer is not None:
                         writer.write()
                     checkpoint.save(progress)
                 bar.set_postfix_str(_progress_line(run), refresh=False)
                 bar.update((window.t_end - (progress.first or 0)) / NS_PER_S - bar.n)
+            comparing.result()
+            bar.set_postfix_str(_progress_line(run))
         except KeyboardInterrupt:
             run.interrupted = True
-            if writer is not None:
-                writer.truncate(len(run.windows))  # it may have come in the middle of a row
+        _count_time(progress, began)
+    if run.interrupted and writer is not None:
+        writer.truncate(len(run.windows))  # Ctrl-C may have come in the middle of a row
     run.wall_s = progress.wall_s
     run.events = progress.covered.count
     if checkpoint is not None and not run.interrupted:
@@ -190,6 +204,7 @@ def _windows(recording: Recording, progress: Progress) -> Iterator[Window]:
         InputError: the recording ends before the first window is complete.
     """
     last = progress.first
+    cut = bool(progress.windows or progress.pending)
     yield from _pending(progress)
     for events in _skip(recording.event_chunks(), progress.events):
         if progress.first is None:
@@ -197,11 +212,13 @@ def _windows(recording: Recording, progress: Progress) -> Iterator[Window]:
         last = int(events.t[-1])
         progress.pending.extend(progress.slicer.push(events))
         progress.events += len(events)
+        cut = cut or bool(progress.pending)
         yield from _pending(progress)
     if isinstance(progress.slicer, EndingSlicer):
         progress.pending.extend(progress.slicer.finish())
+        cut = cut or bool(progress.pending)
         yield from _pending(progress)
-    if not progress.windows and progress.first is not None and last is not None:
+    if not cut and progress.first is not None and last is not None:
         raise InputError(
             recording.path,
             f"its events span {(last - progress.first) / NS_PER_MS:.1f} ms, less than one window",
@@ -222,19 +239,29 @@ def _skip(chunks: Iterator[Events], count: int) -> Iterator[Events]:
         count = max(0, count - len(events))
 
 
-def _process(
+def _estimate(
+    progress: Progress, window: Window, gyro: GyroReadings | None
+) -> tuple[Estimate, str]:
+    """Estimate the first pending window; see `attempt`."""
+    if gyro is not None:
+        window = window.with_gyro(gyro)
+    result = attempt(progress.estimator, window)
+    progress.covered.add(window)
+    progress.pending.popleft()
+    return result
+
+
+def _compare(
     progress: Progress,
     window: Window,
+    estimate: Estimate,
+    note: str,
     truth: Truth,
-    gyro: GyroReadings | None,
     writer: EstimatesWriter | None,
     submission: Submission | None,
 ) -> None:
-    """Estimate and assess the first pending window."""
-    if gyro is not None:
-        window = window.with_gyro(gyro)
-    estimate, note = attempt(progress.estimator, window)
-    cut, window = window, window.since(estimate.t_start)
+    """Compare a window's estimate with the truth, and keep it."""
+    window = window.since(estimate.t_start)
     tracker = progress.tracker
     tracks = tracker.follow(estimate, truth) if tracker else None
     track_errors = tracks.errors if tracks else None
@@ -246,8 +273,13 @@ def _process(
         submission.offer(part.t_start, part.t_end, estimate)
     progress.gallery.offer(part, estimate, result, tuple(tracker.recent) if tracker else ())
     progress.windows.append(result)
-    progress.covered.add(cut)
-    progress.pending.popleft()
+
+
+def _count_time(progress: Progress, began: float) -> float:
+    """Add the time since then to the run's, and return the present."""
+    now = time.perf_counter()
+    progress.wall_s += now - began
+    return now
 
 
 def _progress_line(run: Evaluation) -> str:
