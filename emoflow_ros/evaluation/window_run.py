@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from emoflow_ros.core.camera import Camera
@@ -147,6 +148,7 @@ def proceed(
             disable=not progress_bar,
             bar_format=_BAR_OF_UNKNOWN_LENGTH if recording.duration is None else _BAR,
         ) as bar,
+        threadpool_limits(1, "blas"),  # the products are small, and two threads use the cores
         ThreadPoolExecutor(1, "compare") as aside,
     ):
         began, comparing = time.perf_counter(), Future[None]()

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
@@ -165,6 +166,8 @@ class _Worker:
         self._painter = Painter(camera)
         config = load_config(header["config"]["profile"], header["config"])
         self._estimator = self._make_estimator(camera, config)
+        # Of small products: a second thread of the linear algebra would only keep a core busy.
+        threadpool_limits(limits=1, user_api="blas")
         self._present = self._last = None
         if isinstance(config.estimator, LatticeConfig):
             from emoflow_ros.core.present_motion import PresentMotion

@@ -66,3 +66,31 @@ def test_the_next_worker_finds_everything_compiled():
     """Else each start would compile twice, and keep the compiler's memory."""
     run(WARM_UP)
     assert run(WARM_UP) == "{'compiled': False}"
+
+
+THREADS = """
+from dataclasses import asdict
+
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from emoflow_ros.core.config import Config
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.node.worker import WARM_UP_CAMERA, _Worker
+
+
+def threads():
+    return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+
+worker = _Worker(make_estimator)
+worker._warm_up()
+threadpool_limits(2, "blas")
+before = threads()
+request = {"kind": "configure", "camera": asdict(WARM_UP_CAMERA), "config": Config().flat()}
+print(worker.answer(request, {})[0], before, threads())
+"""
+
+
+def test_the_linear_algebra_of_a_worker_has_one_thread():
+    """Else its second thread waits busily between the small products, on a core of its own."""
+    assert run(THREADS) == "{} {2} {1}"
