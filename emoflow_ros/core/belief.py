@@ -30,7 +30,7 @@ _MAX_APPROACH = 0.2  # approach, depths per window
 # as of a GyroMeasurement: its mean over the window, and half of the change of its best line.
 _MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
 _SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
-# Standard deviation, rad/s, of half of the change that a gyro tells: the spline is no parabola.
+# Standard deviation, rad/s, that is added to half of the change as a gyro tells it: none is exact.
 _SLOPE_ERROR = 1e-3
 
 

@@ -117,7 +117,8 @@ def inverse_depths(epipolar: NodeEpipolar, flow: Array, w: Array, v: Array) -> A
 def motion_covariance(estimate: Estimate, v: Array) -> Array:
     """Return the covariance (6, 6) of (w, v) of an estimate, v in units of the speed.
 
-    Along v it is 1: nobody knows how the speed changes. Where v is not known, w stands alone.
+    It turns with v. Along v it is 1: nobody knows how the speed changes. Where v is not known, w
+    stands alone.
 
     Args:
         estimate: of a window.
@@ -126,9 +127,20 @@ def motion_covariance(estimate: Estimate, v: Array) -> Array:
     order = np.r_[3:6, 0:3]
     covariance: Array = estimate.covariance[np.ix_(order, order)].copy()
     if estimate.translation_observable:
+        turn = np.eye(6)
+        turn[3:, 3:] = _least_turn(estimate.linear, v)
+        covariance = turn @ covariance @ turn.T
         return Belief.of(estimate.t, estimate.angular, v, covariance).covariance
     covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
     return covariance
+
+
+def _least_turn(before: Array, after: Array) -> Array:
+    """Rotation (3, 3) by the least angle, under 180 degrees, from one unit vector to another."""
+    x, y, z = np.cross(before, after)
+    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turn: Array = np.eye(3) + across + across @ across / max(1e-6, 1 + before @ after)
+    return turn
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,8 @@ class Gyro:
         """Covariances (3, 3, 3) of the coefficients without that of the bias.
 
         What happens in a gap counts most for coefficient k at an end of the interval, where the
-        polynomial is 1: 2 k + 1 times what it counts for the mean.
+        polynomial is 1: 2 k + 1 times what it counts for the mean. The coefficients are taken to be
+        independent, so the middle's variance is rather too large where there are gaps.
         """
         config = self.config
         noise = math.radians(config.noise) ** 2 / duration

@@ -97,7 +97,7 @@ class Memory:
         )
         if self.belief is None:
             return None
-        # Within this window the spline tells how w changes; beyond its end w is held.
+        # Within this window the spline tells how w changes; before and after it w is held.
         middle = float(np.clip(0.5 + ahead, 0.0, 1.0))
         change = (basis(middle) - basis(0.5)) @ self.motion.w
         seconds = (self.t_end - self.t_start) / NS_PER_S

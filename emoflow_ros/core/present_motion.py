@@ -44,6 +44,7 @@ _LEAST_SINCE_S = 0.01  # over which a change tells of the drift
 # length if that is shorter, for the change within a short window is known less well.
 _FADES_S = 0.06
 _GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
+_LIVE_GAP = 0.025**2  # (rad/s)^2, variance of the gap where readings end at the mean's middle
 
 
 @dataclass(frozen=True)
@@ -157,15 +158,17 @@ class PresentMotion:
                 return None
         elif by_gyro is None or not _is_fresh(window):
             return None
-        surprise = change[:3] - expected[:3]
         at_end = scene.change_by_gyro(gyro, window.t_end)
         if by_gyro is not None and at_end is not None:
             change[:3] += at_end[0] - by_gyro[0]
+            late = max(0.0, at_end[1] - by_gyro[1] - _LIVE_GAP)  # of readings that end before now
+            covariance[:3, :3] += late * np.eye(3)
         else:
-            squared = float(surprise @ surprise)
+            surprise = change[:3] - expected[:3]
+            unforeseen = change[:3] - scene.predicted_change(middle)
             change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
-            drift[:3] = _drift_by(self._drift[0], squared, max(since, _LEAST_SINCE_S))
-            covariance[:3, :3] += _CHANGE_ERROR * squared / 3 * np.eye(3)
+            drift[:3] = _drift_by(self._drift[0], unforeseen, max(since, _LEAST_SINCE_S))
+            covariance[:3, :3] += _CHANGE_ERROR * float(surprise @ surprise) / 3 * np.eye(3)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
         return _read(window.t_end, scene, change, covariance)
 
@@ -218,14 +221,15 @@ class PresentMotion:
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
 
-def _drift_by(configured: float, squared: float, seconds: float) -> float:
-    """Drift of w, (rad/s)^2 per second, as its squared change in the last `seconds` tells.
+def _drift_by(configured: float, unforeseen: Array, seconds: float) -> float:
+    """Drift of w, (rad/s)^2 per second, by what its change in the last `seconds` was off by.
 
+    "Off" is the change (3,) less that which the window predicts.
     The mean of an expected value, which counts as much as one such change, and the change's own: a
     camera that shakes goes on shaking, and a calm one stays calm.
     """
     expected = _EXPECTED_DRIFT**2 * configured
-    return 0.5 * (expected + squared / (3 * seconds))
+    return 0.5 * (expected + float(unforeseen @ unforeseen) / (3 * seconds))
 
 
 def _is_frozen(window: Window) -> bool:

@@ -155,8 +155,11 @@ def proceed(
         comparing.set_result(None)
         try:
             for window in islice(_windows(recording, progress), left):
-                estimate, note = _estimate(progress, window, gyro)
+                timed = window if gyro is None else window.with_gyro(gyro)
+                estimate, note = attempt(progress.estimator, timed)
                 comparing.result()
+                progress.covered.add(window)
+                progress.pending.popleft()
                 comparing = aside.submit(
                     _compare, progress, window, estimate, note, truth, writer, submission
                 )
@@ -173,6 +176,8 @@ def proceed(
         except KeyboardInterrupt:
             run.interrupted = True
         _count_time(progress, began)
+    if isinstance(error := comparing.exception(), Exception):  # beside Ctrl-C
+        raise error
     if run.interrupted and writer is not None:
         writer.truncate(len(run.windows))  # Ctrl-C may have come in the middle of a row
     run.wall_s = progress.wall_s
@@ -239,18 +244,6 @@ def _skip(chunks: Iterator[Events], count: int) -> Iterator[Events]:
         if len(events) > count:
             yield events[count:]
         count = max(0, count - len(events))
-
-
-def _estimate(
-    progress: Progress, window: Window, gyro: GyroReadings | None
-) -> tuple[Estimate, str]:
-    """Estimate the first pending window; see `attempt`."""
-    if gyro is not None:
-        window = window.with_gyro(gyro)
-    result = attempt(progress.estimator, window)
-    progress.covered.add(window)
-    progress.pending.popleft()
-    return result
 
 
 def _compare(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.belief import Belief
 from emoflow_ros.core.camera import Camera
@@ -258,6 +259,20 @@ def test_the_covariance_of_a_motion_turns_round_with_its_direction():
     np.testing.assert_allclose(found.covariance[:3, :3], belief.covariance[:3, :3])
     np.testing.assert_allclose(found.covariance[3:, 3:], belief.covariance[3:, 3:])
     np.testing.assert_allclose(motion_covariance(estimate(800, 0.5), V), covariance_of_estimate())
+
+
+def test_the_covariance_of_a_motion_turns_with_its_direction():
+    """By 40 degrees about x: the standard deviations across v stay, and the ties to w follow."""
+    before = np.array([0.0, 0.0, 1.0])
+    turn = Rotation.from_euler("x", 40, degrees=True).as_matrix()
+    of_twist = np.diag([1e-2, 4e-2, 0.0, 1e-3, 1e-3, 1e-3])
+    of_twist[1, 3] = of_twist[3, 1] = 2e-3  # v_y and w_x
+    its = replace(estimate(800, 0.5), linear=before, covariance=of_twist)
+    found = motion_covariance(its, turn @ before)
+    of_v = turn @ np.diag([1e-2, 4e-2, 1.0]) @ turn.T
+    np.testing.assert_allclose(found[3:, 3:], of_v, atol=1e-12)
+    np.testing.assert_allclose(found[0, 3:], 2e-3 * turn[:, 1], atol=1e-12)
+    np.testing.assert_allclose(found[:3, :3], 1e-3 * np.eye(3))
 
 
 def covariance_of_estimate() -> np.ndarray:

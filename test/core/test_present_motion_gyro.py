@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from present_runs import LATE_NS, Run, degrees, last, run
 
-from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import NS_PER_MS, Window, WindowSlicer
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, fit_shape
@@ -174,23 +173,6 @@ def carried_by_gyro(its: Run, estimate: Estimate, known_until: int) -> np.ndarra
     return found.covariance
 
 
-def test_what_is_not_known_along_v_stays_along_it_where_v_turns_within_the_window() -> None:
-    """20 degrees from the window's middle to its end."""
-    its, estimate = last("agile")
-    v = estimate.linear
-    across = np.cross(v, [0.0, 0.0, 1.0])
-    across /= np.linalg.norm(across)
-    rate = np.tan(np.radians(20)) / 0.5
-    travel = v + rate * np.outer(np.arange(-1.0, 3.0) - 0.5, across)
-    turning = SplineMotion(estimate.t_start, estimate.t_end, np.zeros((4, 3)), travel)
-    covariance = carried_by_gyro(its, replace(estimate, motion=turning), estimate.t_end)
-    straight = replace(turning, linear_points=np.tile(v, (4, 1)))
-    expected = carried_by_gyro(its, replace(estimate, motion=straight), estimate.t_end)
-    of_v = np.trace(covariance[:3, :3]), np.trace(expected[:3, :3])
-    # The direction is known as well as before, seen from another side; 0.1 is 18 degrees.
-    assert abs(of_v[0] - of_v[1]) < 0.02 < np.sin(np.radians(18)) ** 2
-
-
 def test_a_gyro_that_ends_before_the_window_tells_less_of_the_change_after_it() -> None:
     """Where it turns by 20 rad/s^2 from its last reading on."""
     its, estimate = last("agile")
@@ -198,3 +180,49 @@ def test_a_gyro_that_ends_before_the_window_tells_less_of_the_change_after_it() 
     held = carried_by_gyro(its, estimate, estimate.t_end - 20 * NS_PER_MS)
     more = np.diag(held - whole)[3:]
     assert (more > (20.0 * 0.015) ** 2).all() and (more < (20.0 * 0.045) ** 2).all()
+
+
+def test_readings_that_end_before_now_tell_less_of_it() -> None:
+    """10 ms before the slice's end: 20 rad/s^2 for 15 ms of the 10 ms around it."""
+    its, estimate = last("agile")
+    present, gyro = its.present(), with_gyro(its.slice(estimate.t_end), its, np.zeros(3)).gyro
+    present.know(replace(estimate, flow=None, gyro=GyroStatus(GyroState.USED)), gyro)
+    t = estimate.t_end + LATE_NS
+    live = with_gyro(its.slice(t), its, np.zeros(3))
+    assert live.gyro is not None
+    sigma = []
+    for lag_ms in (0, 5, 10):
+        read = live.gyro.t <= t - lag_ms * NS_PER_MS
+        part = GyroReadings(live.gyro.t[read], live.gyro.w[read])
+        found = present.estimate(replace(live, gyro=part))
+        assert found is not None
+        sigma.append(np.sqrt(np.diag(found.covariance)[3:].mean()))
+    # The mean's error by the readings that lack, beside those of a gyro that is read until now
+    more = [np.sqrt(late**2 - sigma[0] ** 2) for late in sigma[1:]]
+    gaps = np.array([20 * ms**2 / 2 / 10 for ms in (5, 10, 15)]) * 1e-3
+    np.testing.assert_allclose(more, np.sqrt(gaps[1:] ** 2 - gaps[0] ** 2), rtol=0.02)
+
+
+def test_a_camera_that_shakes_goes_on_shaking_after_the_last_reading() -> None:
+    """The gyro reaches the slice's middle, not its end, where the window may foresee another w."""
+    present, whole, gyro = after_a_window_with_a_gyro("agile")
+    before = gyro.t < whole.t_end - 40 * NS_PER_MS
+    short = replace(whole, gyro=GyroReadings(gyro.t[before], gyro.w[before]))
+    shaking, scene = present.estimate(short), present._scene
+    assert shaking is not None and scene is not None
+    half = min(whole.t_end - whole.t_start, scene.length_ns) // 2
+    middle = whole.t_end - half
+    told = scene.change_by_gyro(short.gyro, middle)
+    assert told is not None
+    seconds = scene.predicted_change(middle)[0] / scene.angular_acceleration[0]
+    present._scene = replace(scene, angular_acceleration=told[0] / seconds)
+    other, foreseen = present._scene, present.estimate(short)
+    assert foreseen is not None
+    squares = []
+    for found, known in ((shaking, scene), (foreseen, other)):
+        change = found.twist.angular - known.motion[:3] - known.predicted_change(whole.t_end)
+        squares.append(change @ change)
+    drift = 0.5 * (squares[0] - squares[1]) / (3 * (middle - scene.t) / NS_PER_S)
+    more = np.diag(shaking.covariance - foreseen.covariance)[3:]
+    np.testing.assert_allclose(more, drift * half / NS_PER_S, rtol=1e-6)
+    assert np.sqrt(more.min()) > np.radians(0.5)

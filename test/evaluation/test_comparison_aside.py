@@ -1,14 +1,20 @@
 """Windows are compared with the truth in a thread, while the next one is estimated."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
 from test_window_run import CAMERA, KnownErrors, run, spin
 
+from emoflow_ros.core.events import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import window_run
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
+from emoflow_ros.evaluation.run_progress import Checkpoint, Progress
+from emoflow_ros.evaluation.window_run import proceed
+from emoflow_ros.readers import open_recording
+from emoflow_ros.truth import load_truth
 
 PATIENCE_S = 20.0
 
@@ -82,3 +88,43 @@ def test_ctrl_c_keeps_the_window_that_is_being_compared(tmp_path, monkeypatch):
         done = run(spin(tmp_path), estimator, writer=writer)
     assert done.interrupted and [w.index for w in done.windows] == [0, 1]
     assert len(read_estimates(file)) == 2
+
+
+def test_a_checkpoint_has_the_results_of_all_windows_that_its_estimator_has_seen(
+    tmp_path, monkeypatch
+):
+    estimator, assess, saved = KnownErrors(), window_run.assess, []
+
+    class EachWindow(Checkpoint):
+        def is_due(self):
+            return True
+
+        def save(self, progress):
+            saved.append((estimator.calls, len(progress.windows), len(progress.pending)))
+
+    def slow(*arguments):
+        time.sleep(0.05)
+        return assess(*arguments)
+
+    monkeypatch.setattr(window_run, "assess", slow)
+    with open_recording(spin(tmp_path)) as recording:
+        proceed(
+            recording,
+            Progress(estimator, WindowSlicer(WindowPolicy(duration_ms=100.0))),
+            load_truth(recording),
+            checkpoint=EachWindow(tmp_path / "checkpoint.pickle", {}),
+        )
+    assert [calls for calls, _, _ in saved] == [1, 2, 3, 4, 5]
+    assert all(calls == results for calls, results, _ in saved)
+
+
+def test_what_is_wrong_with_the_truth_is_told_after_ctrl_c(tmp_path, monkeypatch):
+    """It comes while the window before is compared."""
+
+    def damaged(*_):
+        time.sleep(0.05)
+        raise InputError("truth.bag", "damaged", "copy it again")
+
+    monkeypatch.setattr(window_run, "assess", damaged)
+    with pytest.raises(InputError, match=r"truth\.bag: damaged"):
+        run(spin(tmp_path), KnownErrors(interrupt_at=2))
