@@ -168,7 +168,7 @@ class LatticeEstimator:
         fit = self._fit
         fit.step_px = np.inf
         few = events.every(max(1, len(events) // _COARSE_EVENTS))
-        for scale, steps in ((0.25, 1), (0.5, 1)) if fit.known is None else ((0.5, 1),):
+        for scale, steps in ((0.25, 2), (0.5, 1)) if fit.known is None else ((0.5, 1),):
             for _ in range(steps):
                 if self._late():
                     break
