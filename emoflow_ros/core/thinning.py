@@ -159,38 +159,24 @@ def first_of_latest(events: Events, count: int) -> int:
 
 
 def _thin_pieces(events: Events, bounds: NDArray[np.intp], limits: NDArray[np.int64]) -> Events:
-    """Thin the pieces between bounds (M + 1,) that hold more than their limits (M,)."""
-    over = np.flatnonzero(np.diff(bounds) > limits)
-    if not len(over):
-        return events
-    parts = []
-    done = int(bounds[0])
-    for i in over:
-        begin, end = int(bounds[i]), int(bounds[i + 1])
-        parts += [events[done:begin], _thin_evenly(events[begin:end], int(limits[i]))]
-        done = end
-    parts.append(events[done : int(bounds[-1])])
-    return Events.concatenate([part for part in parts if len(part)])
+    """Thin the pieces between bounds (M + 1,) that hold more than their limits (M,).
 
-
-def _thin_evenly(events: Events, count: int) -> Events:
-    """Return `count` of more events, every n-th of each block of the image, ON and OFF apart.
-
+    What stays of such a piece is every n-th event of each block of the image, ON and OFF apart.
     Each stands for as many events as the others do. Events that stand for many are at most taken
     once, so that there may be fewer.
     """
+    if (np.diff(bounds) <= limits).all():
+        return events
     one_each = events.stands_for is None
     weights = np.ones(1, np.uint32) if events.stands_for is None else events.stands_for
-    x, y, p = (np.ascontiguousarray(a) for a in (events.x, events.y, events.p))
-    chosen = np.empty(count, np.intp)
-    candidates = min(len(events), _CANDIDATES * count)
-    # The count begins at another event in each piece. Otherwise a block of few events would lose
-    # them all, in every piece.
-    phase = (int(events.t[0]) * 0x9E3779B1) % 2**32
-    number = _choose(x, y, p, np.ascontiguousarray(weights), one_each, candidates, phase, chosen)
-    kept = events[chosen[:number]]
-    shares = np.diff(np.arange(number + 1) * events.came // number).astype(np.uint32)
-    return replace(kept, stands_for=shares)
+    stay = int(np.minimum(np.diff(bounds), limits).sum())
+    chosen, shares = np.empty(stay + 1, np.intp), np.empty(stay, np.uint32)
+    whole = np.ascontiguousarray
+    number = _thin(
+        whole(events.x), whole(events.y), whole(events.t), whole(events.p), whole(weights),
+        whole(bounds), whole(limits), one_each, chosen, shares,
+    )  # fmt: skip
+    return replace(events[chosen[:number]], stands_for=shares[:number])
 
 
 def _places() -> NDArray[np.uint16]:
@@ -248,26 +234,18 @@ def _steps(stands_for, chosen):  # type: ignore[no-untyped-def]
     return number
 
 
-@njit(
-    types.intp(
-        _column(types.uint16), _column(types.uint16), _column(types.boolean),
-        _column(types.uint32), types.boolean, types.int64, types.int64, types.intp[::1],
-    ),
-    cache=True,
-    nogil=True,
-)  # fmt: skip
-def _choose(x, y, p, weights, one_each, candidates, phase, chosen):  # type: ignore[no-untyped-def]
-    """Write the indices of evenly spread events into `chosen`, in order; return their number.
+@njit
+def _choose(x, y, p, weights, one_each, count, phase, rest, blocks, chosen, number):  # type: ignore[no-untyped-def]
+    """Write the indices of `count` evenly spread events from chosen[number] on; return the next.
 
     The candidates, block after block and OFF before ON, are a line, of which each takes as much as
-    it stands for. Where the line is cut into len(chosen) equal pieces, one is taken. Each block
-    knows where on the line it begins, so that the candidates need not be sorted.
+    it stands for. Where the line is cut into `count` equal pieces, one is taken. Each block knows
+    where on the line it begins, so that the candidates need not be sorted.
     """
-    count = len(chosen)
+    candidates = min(len(x), _CANDIDATES * count)
     step = (len(x) << 16) // candidates
     mask = (1 << _SIDE_BITS) - 1
-    blocks = np.empty(candidates, np.uint16)
-    rest = np.zeros(_STRATA, np.int64)
+    rest[:] = 0
     total = 0
     for k in range(candidates):
         i = _candidate(k, step, phase)
@@ -282,14 +260,60 @@ def _choose(x, y, p, weights, one_each, candidates, phase, chosen):  # type: ign
         rest[block] = begin
         if length:
             begin = (begin + length * count) % total
-    number = 0
     for k in range(candidates):
         i, block = _candidate(k, step, phase), blocks[k]
-        rest[block] += count if one_each else weights[i] * count
-        if rest[block] >= total:
-            rest[block] -= total
-            if rest[block] >= total:  # it stands for many
-                rest[block] %= total
-            chosen[number] = i
-            number += 1
+        reached = rest[block] + (count if one_each else weights[i] * count)
+        cut = reached >= total
+        if reached >= 2 * total:  # it stands for many
+            reached %= total
+        else:
+            reached -= total if cut else 0
+        rest[block] = reached
+        chosen[number] = i  # stays if the line is cut here; without a branch that is hard to guess
+        number += cut
+    return number
+
+
+@njit(
+    types.intp(
+        _column(types.uint16), _column(types.uint16), _column(types.int64), _column(types.boolean),
+        _column(types.uint32), _column(types.intp), _column(types.int64), types.boolean,
+        types.intp[::1], types.uint32[::1],
+    ),
+    cache=True,
+    nogil=True,
+)  # fmt: skip
+def _thin(x, y, t, p, weights, bounds, limits, one_each, chosen, shares):  # type: ignore[no-untyped-def]
+    """Write the indices of what stays of each piece into `chosen`, in order; return their number.
+
+    `shares` gets how many events each of them stands for. `chosen` has room for one more.
+    """
+    rest = np.empty(_STRATA, np.int64)
+    blocks = np.empty(_CANDIDATES * limits.max(), np.uint16)
+    number = 0
+    for piece in range(len(limits)):
+        begin, end, count = bounds[piece], bounds[piece + 1], limits[piece]
+        if end - begin <= count:
+            for i in range(begin, end):
+                chosen[number] = i
+                shares[number] = 1 if one_each else weights[i]
+                number += 1
+            continue
+        # The count begins at another event in each piece. Otherwise a block of few events would
+        # lose them all, in every piece.
+        phase = (t[begin] * 0x9E3779B1) & 0xFFFFFFFF
+        first = number
+        number = _choose(
+            x[begin:end], y[begin:end], p[begin:end], weights[begin:end], one_each, count, phase,
+            rest, blocks, chosen, number,
+        )  # fmt: skip
+        came = end - begin
+        if not one_each:
+            came = 0
+            for i in range(begin, end):
+                came += weights[i]
+        for k in range(first, number):
+            chosen[k] += begin
+            before = (k - first) * came // (number - first)
+            shares[k] = (k - first + 1) * came // (number - first) - before
     return number

@@ -38,19 +38,52 @@ _RECENT = 6  # windows whose tracks are kept for pictures
 
 
 def event_mask(events: Events, width: int, height: int) -> Mask:
-    """Mark the pixels that hold at least one event, (height, width)."""
+    """Mark the pixels that hold at least one event, (height, width); others mark nothing."""
     mask = np.zeros((height, width), np.bool_)
-    mask[events.y, events.x] = True
+    _mark(events.x, events.y, mask)
     return mask
 
 
+@numba.njit(cache=True, nogil=True)
+def _mark(x: NDArray[np.uint16], y: NDArray[np.uint16], mask: Mask) -> None:
+    height, width = mask.shape
+    for i in range(len(x)):
+        if y[i] < height and x[i] < width:
+            mask[y[i], x[i]] = True
+
+
+@numba.njit(cache=True, nogil=True)
 def known_flow_mask(truth: Flow) -> Mask:
     """Mark the pixels (H, W) whose true flow (H, W, 2) counts: finite, |u| > 0 and |v| > 0.
 
     MVSEC's files hold zeros where nothing is known, hence the second condition.
     """
-    u, v = truth[..., 0], truth[..., 1]
-    return np.asarray(np.isfinite(u) & np.isfinite(v) & (u != 0) & (v != 0))
+    height, width, _ = truth.shape
+    known = np.empty((height, width), np.bool_)
+    for i in range(height):
+        for j in range(width):
+            u, v = truth[i, j]
+            known[i, j] = np.isfinite(u) and np.isfinite(v) and u != 0 and v != 0
+    return known
+
+
+@numba.njit(cache=True, nogil=True)
+def at_pixels(mask: Mask, flow: Flow) -> tuple[Vectors, Flow]:
+    """Take the pixels of a mask (H, W), row by row, from a flow image (H, W, 2).
+
+    Returns:
+        Their columns and rows (N, 2), and their flow (N, 2).
+    """
+    count = np.count_nonzero(mask)
+    pixels, values = np.empty((count, 2)), np.empty((count, 2), flow.dtype)
+    k = 0
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            if mask[i, j]:
+                pixels[k, 0], pixels[k, 1] = j, i
+                values[k] = flow[i, j]
+                k += 1
+    return pixels, values
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from emoflow_ros.evaluation.metrics import (
     Mask,
     TrackErrors,
     angle_deg,
+    at_pixels,
     event_mask,
     flow_errors,
     known_flow_mask,
@@ -205,12 +206,11 @@ def _compare_flow(
     true_flow = truth.flows.displacement(window.t_start, window.t_end)
     if true_flow is None:
         return None, None
-    rows, columns = np.nonzero(comparison_mask(window, true_flow))
-    pixels = np.stack([columns, rows], axis=-1).astype(np.float64)
+    mask = comparison_mask(window, true_flow)
+    pixels, true = at_pixels(mask, true_flow.displacement)
     ours = estimate.flow.tracks(pixels, (window.t_start, window.t_end))[1] - pixels
-    true = true_flow.displacement[rows, columns]
     errors = flow_errors(ours, true)
     if true_flow.moving is None or not true_flow.moving.any():
         return errors, None
-    static = ~true_flow.moving[rows, columns]
+    static = ~true_flow.moving[mask]
     return errors, flow_errors(ours[static], true[static])

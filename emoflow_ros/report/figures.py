@@ -39,6 +39,8 @@ _STYLE: Any = {
     "figure.facecolor": "white",
     "svg.hashsalt": "emoflow_ros",
 }
+# Width, and room at the left, at the right and above axes, inches.
+_WIDTH, _LEFT, _RIGHT, _TOP = 10.0, 0.65, 0.1, 0.3
 _NOTHING = np.full(3, np.nan)
 style = mpl.rc_context(_STYLE)  # decorates every function that draws
 Array = NDArray[np.float64]
@@ -54,8 +56,7 @@ def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()
     """
     if len(windows) < 2:
         return None
-    figure = Figure(figsize=(10, 5.4), layout="constrained")
-    axes = figure.subplots(3, 2, sharex=True, sharey="col")
+    figure, axes = _subplots(3, 2, 5.4, below=0.75, sharex=True, sharey="col")
     t = middle_times(windows)
     truths = [(name, _seen_by(windows, i)) for i, name in enumerate(sources)]
     sigma = np.array([w.sigma for w in windows])
@@ -64,7 +65,7 @@ def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()
         for name, seen in truths
     ]
     _components(
-        axes[:, 0],
+        list(axes[:, 0]),
         t,
         np.degrees([w.angular for w in windows]),
         np.degrees(sigma[:, 3:]),
@@ -74,7 +75,7 @@ def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()
     )
     directions = [(name, np.array([w.true_direction for w in seen])) for name, seen in truths]
     linear = np.array([w.linear for w in windows])
-    _components(axes[:, 1], t, linear, sigma[:, :3], directions, "v", "1")
+    _components(list(axes[:, 1]), t, linear, sigma[:, :3], directions, "v", "1")
     axes[0, 0].set_title("Angular velocity", loc="left", fontweight="bold")
     axes[0, 1].set_title("Direction of linear velocity (unit)", loc="left", fontweight="bold")
     axes[0, 1].set_ylim(-1.15, 1.15)
@@ -83,15 +84,14 @@ def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()
     for bottom in axes[2]:
         bottom.set_xlabel("time since the first window, s")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels))
     return figure
 
 
 @style
 def trajectory(path: Trajectory) -> Figure:
     """Estimated and true path: along the two longest directions of the truth, and over time."""
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    above, over_time = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    figure, [[above, over_time]] = _subplots(1, 2, 3.6, width_ratios=(1, 1.25))
     ours, true = path.aligned, path.true[:, :3, 3]
     first, second = sorted(np.argsort(-np.ptp(true, axis=0))[:2])
     above.plot(true[:, first], true[:, second], color=TRUTH, linewidth=1.4, label="ground truth")
@@ -117,8 +117,8 @@ def errors_over_time(windows: Sequence[WindowResult]) -> Figure | None:
     rows = [row for row in error_series(windows) if np.isfinite(row[2]).sum() > 1]
     if not rows:
         return None
-    figure = Figure(figsize=(10, 1.5 * len(rows) + 0.5), layout="constrained")
-    axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    figure, grid = _subplots(len(rows), 1, 1.5 * len(rows) + 0.5, sharex=True)
+    axes = grid[:, 0]
     t = middle_times(windows)
     for ax, (name, unit, values) in zip(axes, rows, strict=True):
         ax.plot(t, values, color=ESTIMATE, **_line(values))
@@ -137,8 +137,7 @@ def error_histograms(windows: Sequence[WindowResult]) -> Figure | None:
     rows = [row for row in error_series(windows) if np.isfinite(row[2]).sum() > 2]
     if not rows:
         return None
-    figure = Figure(figsize=(10, 2.4), layout="constrained")
-    axes = figure.subplots(1, len(rows), squeeze=False)[0]
+    figure, [axes] = _subplots(1, len(rows), 2.4)
     for ax, (name, unit, values) in zip(axes, rows, strict=True):
         known = values[np.isfinite(values)]
         ax.hist(known, bins=min(30, max(6, len(known) // 3)), color=ESTIMATE, edgecolor="white")
@@ -158,8 +157,7 @@ def runs_over_time(
     starts = [start for _, series in runs for start, _ in series]
     if not starts:
         return None
-    figure = Figure(figsize=(10, 2.8), layout="constrained")
-    ax = figure.subplots()
+    figure, [[ax]] = _subplots(1, 1, 2.8)
     for run, series in runs:
         windows = sorted(series)
         middles = np.array([(start + end) / 2 for start, end in windows]) - min(starts)
@@ -188,6 +186,32 @@ def middle_times(windows: Sequence[WindowResult]) -> Array:
     """Middle of every window in s since the start of the first one."""
     middles = np.array([(w.t_start + w.t_end) / 2 for w in windows])
     return np.asarray((middles - windows[0].t_start) / NS_PER_S)
+
+
+def _subplots(
+    rows: int, columns: int, height: float, *, below: float = 0.45, **options: Any
+) -> tuple[Figure, NDArray[Any]]:
+    """Lay axes (rows, columns) out by hand, which is much faster than by a solver.
+
+    Args:
+        rows, columns: how many.
+        height: of the figure, inches.
+        below: room for what is below the axes, inches.
+        options: of `Figure.subplots`.
+    """
+    figure = Figure(figsize=(_WIDTH, height))
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    wide = (_WIDTH - _LEFT - _RIGHT - (columns - 1) * _LEFT) / columns
+    high = (height - _TOP - below - (rows - 1) * _TOP) / rows
+    figure.subplots_adjust(
+        left=_LEFT / _WIDTH,
+        right=1 - _RIGHT / _WIDTH,
+        bottom=below / height,
+        top=1 - _TOP / height,
+        wspace=_LEFT / wide,
+        hspace=_TOP / high,
+    )
+    return figure, axes
 
 
 def _seen_by(windows: Sequence[WindowResult], source: int) -> list[WindowResult]:

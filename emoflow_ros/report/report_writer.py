@@ -23,7 +23,12 @@ from emoflow_ros.evaluation.window_results import MIN_TRUE_RATE, MIN_TRUE_SPEED,
 from emoflow_ros.evaluation.window_run import Evaluation
 from emoflow_ros.report import figures
 from emoflow_ros.report.documents import png_uri, render, svg_uri, window_row, write_csv, write_json
-from emoflow_ros.report.window_pictures import track_panels, window_panels
+from emoflow_ros.report.window_pictures import (
+    error_legend,
+    flow_legend,
+    track_panels,
+    window_pictures,
+)
 
 _TEMPLATE = "report.html.j2"
 _MAX_TABLE_ROWS = 400
@@ -153,7 +158,10 @@ def render_page(
         against={(name, m.key): m for name, of in by_truth.items() for m in of},
         truth_measures=list({m.key: m for of in by_truth.values() for m in of}.values()),
         charts=_charts(run),
-        examples=[(e, png_uri(window_panels(e, run.camera, run.truth))) for e in examples],
+        examples=[(e, window_pictures(e, run.camera, run.truth)) for e in examples],
+        png_uri=png_uri,
+        flow_legend=png_uri(flow_legend()),
+        error_legend=png_uri(error_legend()),
         pictured={example.result.index for example in examples},
         worst=run.gallery.worst(),
         tracked=tracked,

@@ -1,16 +1,20 @@
 """The pictures of one window: flow, truth, error, events before and after the warp, and tracks."""
 
+from dataclasses import dataclass
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
-from emoflow_ros.core.products import Points, color_wheel, flow_to_rgb, trails, warped_counts
+from emoflow_ros.core.products import Image, Points, color_wheel, flow_to_rgb, trails, warped_counts
 from emoflow_ros.evaluation.metrics import end_point_error
 from emoflow_ros.evaluation.run_progress import Example
 from emoflow_ros.report.figures import style
@@ -18,52 +22,59 @@ from emoflow_ros.truth import TrueFlow, Truth
 
 _UNKNOWN = "#dddddd"
 _MOVING = "#1f7fd8"
-# Of the figure, the colour bar, the gaps and the titles of a row, in inches.
-_WIDTH, _BAR, _GAP, _TITLE = 10.0, 0.75, 0.08, 0.3
+_ERRORS = mpl.colormaps["magma_r"].with_extremes(bad=_UNKNOWN)
+_EVENTS = mpl.colormaps["gray_r"]
+_WIDEST = 700  # px; of wider images every n-th pixel is shown, and events of n x n pixels together
 
 _COLORS = "plasma_r"
 _TRUE_POSITION = "#0b8043"
 
 
-@style
-def window_panels(example: Example, camera: Camera, truth: Truth) -> Figure:
+@dataclass(frozen=True)
+class WindowPictures:
+    """One window in pictures.
+
+    Attributes:
+        panels: titles and images (H, W, 3) uint8 RGB.
+        longest_px: length of the flow in full colour.
+        error_limit_px: error in the darkest colour; None without a true flow.
+    """
+
+    panels: tuple[tuple[str, Image], ...]
+    longest_px: float
+    error_limit_px: float | None
+
+
+def window_pictures(example: Example, camera: Camera, truth: Truth) -> WindowPictures:
     """Draw one window: flow, events before and after the warp; truth and error where known."""
     window = example.window
     flow = example.estimate.flow
     assert flow is not None, "the gallery holds windows with a flow only"
-    estimated = flow.displacement(window.t_start, window.t_end).astype(np.float64)
+    step = -(-camera.width // _WIDEST)
+    shown = slice(None, None, step), slice(None, None, step)
+    estimated = flow.displacement(window.t_start, window.t_end)[shown].astype(np.float64)
     true = truth.flows.displacement(window.t_start, window.t_end) if truth.flows else None
     longest = _longest(estimated, true)
-    panels, figure = _grid(camera, *((1, 4) if true is None else (2, 3)))
-
-    _show(panels.pop(0), flow_to_rgb(estimated, longest), "Estimated flow")
+    panels = [("Estimated flow", flow_to_rgb(estimated, longest))]
+    limit = None
     if true is not None:
-        known = np.where(true.valid[..., None], true.displacement, np.nan)
-        _show(panels.pop(0), flow_to_rgb(known, longest), "True flow (black: unknown)")
-        _error_map(panels.pop(0), end_point_error(estimated, known), true.moving)
-    before, after, legend = panels
-    _events(before, after, example, flow, camera)
-    _wheel(legend, longest)
-    return figure
+        known = np.where(true.valid[..., None], true.displacement, np.nan)[shown]
+        panels.append(("True flow (black: unknown)", flow_to_rgb(known, longest)))
+        moving = None if true.moving is None else true.moving[shown]
+        title, image, limit = _error_map(end_point_error(estimated, known), moving)
+        panels.append((title, image))
+    panels += _events(example, flow, camera, step)
+    return WindowPictures(tuple(panels), longest, limit)
 
 
-def _grid(camera: Camera, rows: int, columns: int) -> tuple[list[Axes], Figure]:
-    """Lay panels of the camera's shape out by hand, which is much faster than by a solver."""
-    panel = (_WIDTH - _BAR - (columns - 1) * _GAP) / columns
-    height = rows * (panel * camera.height / camera.width + _TITLE)
-    figure = Figure(figsize=(_WIDTH, height))
-    axes = figure.subplots(rows, columns, squeeze=False)
-    figure.subplots_adjust(
-        left=0,
-        right=1 - _BAR / _WIDTH,
-        bottom=0,
-        top=1 - _TITLE / height,
-        wspace=_GAP / panel,
-        hspace=_TITLE / (height / rows - _TITLE),
-    )
-    for ax in axes.flat:
-        ax.axis("off")
-    return list(axes.flat), figure
+def flow_legend() -> Image:
+    """Draw the colours of the flow: all directions and lengths up to the longest."""
+    return color_wheel(201)
+
+
+def error_legend() -> Image:
+    """Draw the colours of the error, from none to the limit, as one row."""
+    return _rgb(_ERRORS, np.linspace(0, 1, 256)[None])
 
 
 def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
@@ -77,60 +88,45 @@ def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
 
 
 def _error_map(
-    ax: Axes,
-    error: NDArray[np.floating[Any]],
-    moving: NDArray[np.bool_] | None,
-) -> None:
+    error: NDArray[np.floating[Any]], moving: NDArray[np.bool_] | None
+) -> tuple[str, Image, float]:
+    """Colour the error, and outline what moves by itself; title, image and the colours' limit."""
     known = error[np.isfinite(error)]
     limit = max(3.0, float(np.percentile(known, 95))) if known.size else 3.0
-    ax.axis("on")
-    ax.set(xticks=[], yticks=[], facecolor=_UNKNOWN)
-    ax.grid(visible=False)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    image = ax.imshow(error, cmap="magma_r", vmin=0, vmax=limit, interpolation="nearest")
-    beside = ax.inset_axes((1.03, 0.08, 0.04, 0.84))
-    bar = beside.figure.colorbar(image, cax=beside, extend="max")
-    bar.set_label("end-point error, px")
-    bar.outline.set_visible(False)
-    title = "Error (grey: truth unknown)"
-    if moving is not None and moving.any():
-        ax.contour(moving, [0.5], colors=_MOVING, linewidths=0.9)
-        title = "Error (outlined: moves by itself)"
-    ax.set_title(title, loc="left")
+    image = _rgb(_ERRORS, error / limit)
+    if moving is None or not moving.any():
+        return "Error (grey: truth unknown)", image, limit
+    image[moving & ~binary_erosion(moving)] = np.rint(255 * np.array(to_rgb(_MOVING)))
+    return "Error (outlined: moves by itself)", image, limit
 
 
-def _events(left: Axes, right: Axes, example: Example, flow: FlowSampler, camera: Camera) -> None:
+def _events(
+    example: Example, flow: FlowSampler, camera: Camera, step: int
+) -> list[tuple[str, Image]]:
     """Events before and after the warp on one grey scale, so that sharpness can be compared."""
     window, size = example.window, (camera.width, camera.height)
     cells = window.events.y.astype(np.int64) * camera.width + window.events.x
     counts = np.bincount(cells, minlength=camera.width * camera.height)
-    before = counts.reshape(camera.height, camera.width)
-    after = warped_counts(window, flow, (window.t_start + window.t_end) // 2, *size)
+    before = _together(counts.reshape(camera.height, camera.width), step)
+    middle = (window.t_start + window.t_end) // 2
+    after = _together(warped_counts(window, flow, middle, *size), step)
     limit = float(np.percentile(after[after > 0], 99.5)) if (after > 0).any() else 1.0
-    for ax, image, title in (
-        (left, before, "Events before the warp"),
-        (right, after, "Events warped to the middle"),
-    ):
-        _show(ax, image, title, cmap="gray_r", vmin=0, vmax=limit)
+    return [
+        ("Events before the warp", _rgb(_EVENTS, before / limit)),
+        ("Events warped to the middle", _rgb(_EVENTS, after / limit)),
+    ]
 
 
-def _wheel(ax: Axes, longest: float) -> None:
-    """Legend: direction and length of the flow colours."""
-    inset = ax.inset_axes((0.2, 0.24, 0.64, 0.62))
-    inset.imshow(color_wheel(201), extent=(-longest, longest, longest, -longest))
-    inset.set_aspect("equal")
-    inset.set_title("Flow colours", loc="center")
-    inset.set_xlabel("u (right), px")
-    inset.set_ylabel("v (down), px")
-    inset.grid(visible=False)
-    for spine in inset.spines.values():
-        spine.set_visible(False)
+def _together(counts: NDArray[np.int64], step: int) -> NDArray[np.int64]:
+    """Add up the counts of step x step pixels; the rest at the right and below is left out."""
+    rows, columns = (length // step for length in counts.shape)
+    whole = counts[: rows * step, : columns * step]
+    return whole.reshape(rows, step, columns, step).sum(axis=(1, 3))
 
 
-def _show(ax: Axes, image: NDArray[np.generic], title: str, **options: Any) -> None:
-    ax.imshow(image, interpolation="nearest", **options)
-    ax.set_title(title, loc="left")
+def _rgb(colors: mpl.colors.Colormap, values: NDArray[np.floating[Any]]) -> Image:
+    """Colour values from 0 to 1; those beyond get the colours of the ends."""
+    return np.asarray(colors(np.ma.masked_invalid(values), bytes=True))[..., :3].copy()
 
 
 @style

@@ -77,12 +77,22 @@ def test_event_mask_marks_the_pixels_with_events():
     )
     expected = np.array([[False, False, True], [True, False, False]])
     np.testing.assert_array_equal(metrics.event_mask(events, 3, 2), expected)
+    np.testing.assert_array_equal(metrics.event_mask(events, 2, 2), expected[:, :2])
 
 
 def test_known_flow_needs_both_components_finite_and_not_zero():
     truth = np.array([[[1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [np.nan, 1.0], [-1.0, -0.1]]])
     expected = [[True, False, False, False, True]]
     np.testing.assert_array_equal(metrics.known_flow_mask(truth), expected)
+
+
+def test_pixels_are_taken_row_by_row():
+    mask = np.array([[False, True, True], [True, False, False]])
+    flow = np.arange(12, dtype=np.float32).reshape(2, 3, 2)
+    pixels, values = metrics.at_pixels(mask, flow)
+    np.testing.assert_array_equal(pixels, [[1, 0], [2, 0], [0, 1]])
+    np.testing.assert_array_equal(values, flow[mask])
+    assert values.dtype == np.float32
 
 
 @pytest.mark.parametrize(
