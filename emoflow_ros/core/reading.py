@@ -77,7 +77,9 @@ class EstimateReader:
         squares = ((flow - self._epipolar.b @ w) ** 2).sum(axis=-1)
         parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
         known = None if free.known is None else free.known[1]
-        covariance = possible.covariance(apart, w, parallax, self._epipolar.px_per_rad, known)
+        covariance = possible.covariance(
+            apart, w, parallax, self._epipolar.px_per_rad, known, sized=known is None
+        )
         unit = np.repeat([window.duration, 1.0], 3)
         if fit.known is not None:
             w = w + fit.known.bend
@@ -157,7 +159,7 @@ class EstimateReader:
             w = here.w[0]
             possible = PossibleMotions.weigh((w, v), here, others, turn)
         apart = replace(apart, w=None)  # that one may have come from the gyro
-        covariance = possible.covariance(apart, w, 1.0, epipolar.px_per_rad)[:3, :3]
+        covariance = possible.covariance(apart, w, 1.0, epipolar.px_per_rad, sized=False)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend
         return w + possible.mean[:3] + bend, covariance
 

@@ -27,13 +27,17 @@ _LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the u
 
 # Chosen on the random recordings with seeds 0 to 59 and those of another simulator
 # (docs/method.md).
-_OF_W, _OF_V = 0.35, 0.2  # shares of the distance of the second fit that are w's and v's errors
+_OF_W, _OF_V = 0.35, 0.15  # shares of the distance of the second fit that are w's and v's errors
 # With an earlier scene: share of the same distance that is w's error, and share of the squared
 # difference of the two values of w that is the variance.
 _OF_W_TOO, _OF_EARLIER = 0.15, 0.05
 # Bounds of that distance, px per window. One distance is a sample and may be small by chance.
 _LEAST_PX, _MOST_PX = 0.3, 4.0
 _LEAST_PARALLAX_PX = 0.1
+# Variance of v over that of the possible motions: where motions of less flow are likelier and the
+# costs have a temperature, and where neither is so.
+_OF_SIZED, _OF_UNSIZED = 0.85, 1.5
+_LEAST_ANGLE = 0.02  # standard deviation of v that no flow takes away, rad: no calibration is exact
 _CLAIMED = 0.3  # spread of the possible directions of travel from which none is claimed, rad
 _LASTING = 2  # number of windows before this one that are compared
 _CONFIRMING = 1  # number of these that must have told the same direction, and none another one
@@ -173,6 +177,8 @@ class PossibleMotions:
         parallax_px: float,
         px_per_rad: float,
         known: Array | None = None,
+        *,
+        sized: bool = True,
     ) -> Array:
         """Covariance (6, 6) of (w, v), w in rad per window.
 
@@ -183,14 +189,16 @@ class PossibleMotions:
                 the more an error of the flow turns v.
             px_per_rad: focal length.
             known: (3, 3) information on w from elsewhere.
+            sized: whether motions of less flow were likelier, and the costs had a temperature.
         """
         look = float(np.clip(apart.second_look_px, _LEAST_PX, _MOST_PX))
         share = _OF_W if apart.w is None else _OF_W_TOO
         of_w = (share * look / px_per_rad) ** 2
         if apart.w is not None:
             of_w += _OF_EARLIER * float(((w - apart.w) ** 2).sum()) / 3
-        of_v = (_OF_V * look / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2
-        covariance = self.spread + np.diag(np.repeat([of_w, of_v], 3))
+        of_v = (_OF_V * look / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2 + _LEAST_ANGLE**2
+        scale = np.repeat([1.0, np.sqrt(_OF_SIZED if sized else _OF_UNSIZED)], 3)
+        covariance = np.outer(scale, scale) * self.spread + np.diag(np.repeat([of_w, of_v], 3))
         if known is None:
             return covariance
         information = np.linalg.inv(covariance)

@@ -19,9 +19,11 @@ FOCAL_PX = 226.0
 NEVER = 1e9  # more cost than any flow has
 
 
-def covariance_of(possible, distance_px=1.0, *, w=None, known=None) -> np.ndarray:
+def covariance_of(
+    possible, distance_px=1.0, *, w=None, known=None, sized=True, parallax_px=5.0
+) -> np.ndarray:
     apart = Disagreement(distance_px, 5.0, 1.0, w)
-    return possible.covariance(apart, W, 5.0, FOCAL_PX, known)
+    return possible.covariance(apart, W, parallax_px, FOCAL_PX, known, sized=sized)
 
 
 def turned(angle: float) -> np.ndarray:
@@ -90,10 +92,15 @@ def test_a_cost_far_below_the_present_one_is_no_overflow():
 
 
 def test_without_other_motions_the_distance_of_the_second_fit_is_the_error():
-    """35 % of it for w; for v 20 %, the more the shorter the parallax."""
+    """35 % of it for w; for v 15 %, the more the shorter the parallax, and 0.02 rad in any case."""
     covariance = covariance_of(PossibleMotions(), 2.0)
-    expected = np.repeat([(0.7 / FOCAL_PX) ** 2, (0.4 / 5.0) ** 2], 3)
+    expected = np.repeat([(0.7 / FOCAL_PX) ** 2, (0.3 / 5.0) ** 2 + 0.02**2], 3)
     np.testing.assert_allclose(covariance, np.diag(expected))
+
+
+def test_no_parallax_is_so_long_that_v_is_exact():
+    covariance = covariance_of(PossibleMotions(), parallax_px=1e6)
+    np.testing.assert_allclose(covariance[3:, 3:], 0.02**2 * np.eye(3))
 
 
 @pytest.mark.parametrize(("distance_px", "counts_as"), [(0.0, 0.3), (1.0, 1.0), (50.0, 4.0)])
@@ -102,17 +109,22 @@ def test_the_distance_is_bounded_on_both_sides(distance_px, counts_as):
     assert np.sqrt(covariance[0, 0]) == pytest.approx(0.35 * counts_as / FOCAL_PX)
 
 
-def test_the_spread_adds_to_the_error():
+@pytest.mark.parametrize(("sized", "of_v"), [(True, 0.85), (False, 1.5)])
+def test_the_spread_adds_to_the_error(sized, of_v):
+    """That of v is wider where neither sizes nor a temperature took part in the costs."""
     possible = weigh(np.add(W, [0.0, 0.04, 0.0]), turned(0.4), 0.0)
-    added = covariance_of(possible) - covariance_of(PossibleMotions())
-    np.testing.assert_allclose(added, possible.spread, atol=1e-15)
+    added = covariance_of(possible, sized=sized) - covariance_of(PossibleMotions(), sized=sized)
+    np.testing.assert_allclose(added[:3, :3], possible.spread[:3, :3], atol=1e-15)
+    np.testing.assert_allclose(added[3:, 3:], of_v * possible.spread[3:, 3:], atol=1e-15)
+    np.testing.assert_allclose(added[:3, 3:], of_v**0.5 * possible.spread[:3, 3:], atol=1e-15)
 
 
 def test_with_an_earlier_scene_a_twentieth_of_its_squared_difference_is_the_variance():
     """And 15 % of the distance of the second fit in place of 35 % of it."""
     found = covariance_of(PossibleMotions(), 2.0, w=W + np.array([0.03, 0.0, -0.04]))
     of_w = (0.3 / FOCAL_PX) ** 2 + 0.05 * 0.0025 / 3
-    np.testing.assert_allclose(found, np.diag([of_w] * 3 + [(0.4 / 5.0) ** 2] * 3))
+    of_v = (0.3 / 5.0) ** 2 + 0.02**2
+    np.testing.assert_allclose(found, np.diag([of_w] * 3 + [of_v] * 3))
 
 
 def test_what_is_known_of_w_lessens_its_covariance_and_that_of_v_with_it():
