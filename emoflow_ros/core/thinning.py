@@ -41,7 +41,7 @@ class EventBudget:
     Args:
         policy: how windows are cut.
         max_events: that an estimator takes of a window.
-        bin_ns: longest bin, ns; each bin that holds too many events costs about 0.1 ms.
+        bin_ns: longest bin, ns.
     """
 
     policy: WindowPolicy

@@ -7,9 +7,10 @@ residuals, the one that has to turn and to travel less is likelier. How likely a
 exponentially with its cost. The estimate is the mean over them, and their spread is a part of its
 covariance.
 
-The other part is the error of the flow that the residuals do not show. Two other explanations of
+The second part is the error of the flow that the residuals do not show. Two other explanations of
 the window show how large it is: a fresh fit of the flow (core.second_look) and the scene of an
-earlier window (core.earlier_scene).
+earlier window (core.earlier_scene). The third part is an angle of v that no flow takes away. The
+weights of the parts are measured values.
 """
 
 from dataclasses import dataclass, field
@@ -25,8 +26,8 @@ _LASTING_PX2 = 0.4
 _USUAL_MISFIT = 0.13  # least residual cost over what _LASTING_PX2 explains, median over windows
 _LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the usual one
 
-# Chosen on the random recordings with seeds 0 to 59 and those of another simulator
-# (docs/method.md).
+# The weights were chosen on simulated recordings: those of w in docs/method.md, those of v in
+# docs/experiments.md, "Covariance of v".
 _OF_W, _OF_V = 0.35, 0.15  # shares of the distance of the second fit that are w's and v's errors
 # With an earlier scene: share of the same distance that is w's error, and share of the squared
 # difference of the two values of w that is the variance.
@@ -178,7 +179,7 @@ class PossibleMotions:
         px_per_rad: float,
         known: Array | None = None,
         *,
-        sized: bool = True,
+        sized: bool,
     ) -> Array:
         """Covariance (6, 6) of (w, v), w in rad per window.
 

@@ -38,7 +38,7 @@ _RECENT = 6  # windows whose tracks are kept for pictures
 
 
 def event_mask(events: Events, width: int, height: int) -> Mask:
-    """Mark the pixels that hold at least one event, (height, width); others mark nothing."""
+    """Mark the pixels (height, width) that hold an event. Events outside the image do not count."""
     mask = np.zeros((height, width), np.bool_)
     _mark(events.x, events.y, mask)
     return mask

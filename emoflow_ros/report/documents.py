@@ -116,6 +116,7 @@ def render(template: str, **values: Any) -> str:
     )
     environment.filters |= {
         "number": format_number,
+        "short": "{:.3g}".format,
         "count": format_count,
         "degrees": math.degrees,
     }
@@ -148,7 +149,9 @@ def png_uri(picture: Figure | Image) -> str:
     if isinstance(picture, Figure):
         picture.savefig(buffer, format="png", dpi=_PNG_DPI)
     else:
-        imsave(buffer, picture, format="png", pil_kwargs={"compress_level": _PNG_LEVEL})
+        imsave(
+            buffer, picture, format="png", origin="upper", pil_kwargs={"compress_level": _PNG_LEVEL}
+        )
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 

@@ -1,5 +1,6 @@
 """The charts of the report; each function draws one figure."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ ESTIMATE = "#1f5fa8"
 TRUTH = "#222222"
 # Colour and dashes of the first truth and of others.
 _TRUTHS = ((TRUTH, "-"), ("#d9822b", (0, (4, 1.5))), ("#0b8043", (0, (1, 1))))
+_BAND, _OURS = "± 2 standard deviations", "estimate"
 _GRID = "#e4e4e4"
 _AXES = "xyz"
 _STYLE: Any = {
@@ -40,7 +42,8 @@ _STYLE: Any = {
     "svg.hashsalt": "emoflow_ros",
 }
 # Width, and room at the left, at the right and above axes, inches.
-_WIDTH, _LEFT, _RIGHT, _TOP = 10.0, 0.65, 0.1, 0.3
+_WIDTH, _LEFT, _RIGHT, _TOP = 10.0, 0.85, 0.1, 0.3
+_ROW, _HANDLE, _LETTER = 0.2, 0.6, 0.072  # height of a legend's row, width of a line and a letter
 _NOTHING = np.full(3, np.nan)
 style = mpl.rc_context(_STYLE)  # decorates every function that draws
 Array = NDArray[np.float64]
@@ -56,7 +59,8 @@ def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()
     """
     if len(windows) < 2:
         return None
-    figure, axes = _subplots(3, 2, 5.4, below=0.75, sharex=True, sharey="col")
+    columns, room = _legend_layout([*(f"truth: {name}" for name in sources), _BAND, _OURS])
+    figure, axes = _subplots(3, 2, 4.85 + room, below=0.5 + room, sharex=True, sharey="col")
     t = middle_times(windows)
     truths = [(name, _seen_by(windows, i)) for i, name in enumerate(sources)]
     sigma = np.array([w.sigma for w in windows])
@@ -84,7 +88,7 @@ def twist_over_time(windows: Sequence[WindowResult], sources: Sequence[str] = ()
     for bottom in axes[2]:
         bottom.set_xlabel("time since the first window, s")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=len(labels))
+    figure.legend(handles, labels, loc="lower center", ncols=columns)
     return figure
 
 
@@ -214,6 +218,13 @@ def _subplots(
     return figure, axes
 
 
+def _legend_layout(labels: Sequence[str]) -> tuple[int, float]:
+    """Number of columns in which a legend fits the figure, and its height in inches."""
+    column = _HANDLE + _LETTER * max(map(len, labels))
+    columns = max(1, min(len(labels), int(_WIDTH / column)))
+    return columns, _ROW * math.ceil(len(labels) / columns) + 0.05
+
+
 def _seen_by(windows: Sequence[WindowResult], source: int) -> list[WindowResult]:
     """Compare the windows with one of the truths; source 0 is the first one."""
     if source == 0:
@@ -235,13 +246,13 @@ def _components(
         if np.isfinite(low).any():
             ax.fill_between(
                 t, low, high, color=ESTIMATE, alpha=0.18, linewidth=0,
-                label="± 2 standard deviations",
+                label=_BAND,
             )  # fmt: skip
         for (name, true), (color, dashes) in zip(truths, _TRUTHS, strict=False):
             if np.isfinite(true[:, i]).any():
                 look = _line(true[:, i], "s", 4.5) | {"color": color, "linestyle": dashes}
                 ax.plot(t, true[:, i], label=f"truth: {name}", **look)
-        ax.plot(t, values[:, i], color=ESTIMATE, label="estimate", **_line(values[:, i]))
+        ax.plot(t, values[:, i], color=ESTIMATE, label=_OURS, **_line(values[:, i]))
         ax.set_ylabel(f"{symbol}$_{_AXES[i]}$, {unit}" if unit != "1" else f"{symbol}$_{_AXES[i]}$")
         ax.axhline(0, color="#999999", linewidth=0.6, zorder=0)
 

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import FlowSampler
 from emoflow_ros.core.products import Image, Points, color_wheel, flow_to_rgb, trails, warped_counts
-from emoflow_ros.evaluation.metrics import end_point_error
+from emoflow_ros.evaluation.metrics import Mask, end_point_error
 from emoflow_ros.evaluation.run_progress import Example
 from emoflow_ros.report.figures import style
 from emoflow_ros.truth import TrueFlow, Truth
@@ -24,6 +24,7 @@ _UNKNOWN = "#dddddd"
 _MOVING = "#1f7fd8"
 _ERRORS = mpl.colormaps["magma_r"].with_extremes(bad=_UNKNOWN)
 _EVENTS = mpl.colormaps["gray_r"]
+PANEL_PX = 330  # width of a panel on the page
 _WIDEST = 700  # px; of wider images every n-th pixel is shown, and events of n x n pixels together
 
 _COLORS = "plasma_r"
@@ -60,8 +61,8 @@ def window_pictures(example: Example, camera: Camera, truth: Truth) -> WindowPic
     if true is not None:
         known = np.where(true.valid[..., None], true.displacement, np.nan)[shown]
         panels.append(("True flow (black: unknown)", flow_to_rgb(known, longest)))
-        moving = None if true.moving is None else true.moving[shown]
-        title, image, limit = _error_map(end_point_error(estimated, known), moving)
+        outline = None if true.moving is None else _outline(true.moving)[shown]
+        title, image, limit = _error_map(end_point_error(estimated, known), outline)
         panels.append((title, image))
     panels += _events(example, flow, camera, step)
     return WindowPictures(tuple(panels), longest, limit)
@@ -87,16 +88,21 @@ def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
     return max(float(np.percentile(lengths, 99.9)), 1e-3) if lengths.size else 1.0
 
 
-def _error_map(
-    error: NDArray[np.floating[Any]], moving: NDArray[np.bool_] | None
-) -> tuple[str, Image, float]:
+def _outline(moving: Mask) -> Mask:
+    """Mark the border of what moves, so wide that a panel of the page shows it."""
+    width = -(-moving.shape[1] // PANEL_PX)
+    inside: Mask = binary_erosion(moving, iterations=width, border_value=1)
+    return moving & ~inside
+
+
+def _error_map(error: NDArray[np.floating[Any]], outline: Mask | None) -> tuple[str, Image, float]:
     """Colour the error, and outline what moves by itself; title, image and the colours' limit."""
     known = error[np.isfinite(error)]
     limit = max(3.0, float(np.percentile(known, 95))) if known.size else 3.0
     image = _rgb(_ERRORS, error / limit)
-    if moving is None or not moving.any():
+    if outline is None or not outline.any():
         return "Error (grey: truth unknown)", image, limit
-    image[moving & ~binary_erosion(moving)] = np.rint(255 * np.array(to_rgb(_MOVING)))
+    image[outline] = np.rint(255 * np.array(to_rgb(_MOVING)))
     return "Error (outlined: moves by itself)", image, limit
 
 
@@ -118,10 +124,10 @@ def _events(
 
 
 def _together(counts: NDArray[np.int64], step: int) -> NDArray[np.int64]:
-    """Add up the counts of step x step pixels; the rest at the right and below is left out."""
+    """Add up the counts of step x step pixels; at the right and below there may be fewer."""
+    counts = np.pad(counts, [(0, -length % step) for length in counts.shape])
     rows, columns = (length // step for length in counts.shape)
-    whole = counts[: rows * step, : columns * step]
-    return whole.reshape(rows, step, columns, step).sum(axis=(1, 3))
+    return counts.reshape(rows, step, columns, step).sum(axis=(1, 3))
 
 
 def _rgb(colors: mpl.colors.Colormap, values: NDArray[np.floating[Any]]) -> Image:

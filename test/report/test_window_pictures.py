@@ -128,6 +128,19 @@ def test_what_moves_by_itself_is_outlined():
     np.testing.assert_array_equal((error == MOVER).all(axis=-1), outline)
 
 
+def test_what_moves_by_itself_is_open_at_the_image_border_and_outlined_wider_in_large_images():
+    camera = camera_of(1280, 720)
+    true = true_flow(camera)
+    moving = np.zeros((720, 1280), np.bool_)
+    moving[100:200, :300] = True
+    truth = Truth(flows=Flows(TrueFlow(true.displacement, true.valid, moving)))
+    found = window_pictures(example(camera, events_at((5, 5)), truth), camera, truth)
+    outline = np.zeros((360, 640), np.bool_)
+    outline[50:100, :150] = True
+    outline[52:98, :148] = False
+    np.testing.assert_array_equal((found.panels[2][1] == MOVER).all(axis=-1), outline)
+
+
 def test_images_of_large_sensors_are_smaller_and_show_every_event():
     camera = camera_of(1280, 720)
     events = events_at((0, 0), (1, 1), (1001, 501), (1279, 719))
@@ -137,6 +150,15 @@ def test_images_of_large_sensors_are_smaller_and_show_every_event():
     before = found.panels[3][1]
     places = [[0, 0], [250, 500], [359, 639]]
     np.testing.assert_array_equal(np.argwhere((before != 255).any(axis=-1)), places)
+
+
+def test_events_in_the_last_column_and_row_are_shown_where_the_size_is_odd():
+    camera = camera_of(701, 11)
+    events = events_at((700, 0), (0, 10))
+    found = window_pictures(example(camera, events, Truth()), camera, Truth())
+    before = found.panels[1][1]
+    assert before.shape == (6, 351, 3)
+    np.testing.assert_array_equal(np.argwhere((before != 255).any(axis=-1)), [[0, 350], [5, 0]])
 
 
 def test_images_come_back_from_the_page_pixel_by_pixel():

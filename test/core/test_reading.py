@@ -1,0 +1,54 @@
+"""How sure the reader of a fit is of v, with and without other knowledge of w."""
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.estimate import MotionModel
+from emoflow_ros.core.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
+from emoflow_ros.core.preparation import WorkingImage
+from emoflow_ros.core.reading import EstimateReader
+from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions
+
+CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
+V = np.array([0.8, 0.0, 0.6])
+ACROSS = np.array([0.0, 1.0, 0.0])
+WINDOW = Window(0, 90 * NS_PER_MS, Events.empty())
+VARIANCE = 0.01  # of the possible motions' v across V, rad^2
+
+
+@pytest.fixture
+def reader() -> EstimateReader:
+    """Of a camera that passes along V, whose possible motions differ in v alone."""
+    config = load_config("realtime").estimator
+    image = WorkingImage.of(CAMERA)
+    lattice = Lattice.with_spacing(*image.camera.size, config.spacing_px)
+    epipolar = NodeEpipolar(image.camera, lattice, config.dec_inlier_px)
+    fit = LatticeFit(lattice, epipolar, config)
+    flow = 0.05 * (epipolar.a @ V)
+    fit.flow = np.repeat(flow[:, None], lattice.times, 1).reshape(lattice.shape).astype(np.float32)
+    fit.motion = Motion.constant(np.zeros(3), V)
+    fit.evidence[:] = np.eye(2)
+    return EstimateReader(image, epipolar, fit, config)
+
+
+@pytest.mark.parametrize(
+    ("known", "counts"),
+    [(None, 0.85), ((np.zeros(3), np.zeros((3, 3))), 1.5)],
+    ids=["events alone", "with a gyro"],
+)
+def test_the_spread_of_v_counts_more_with_a_gyro(reader, known, counts):
+    """Also with one that tells nothing: how the motions were weighed is what matters."""
+    free = FreeFlow(np.zeros((0, 2)), np.zeros((0, 2, 2)), known)
+
+    def variance() -> float:
+        found = reader.believe(WINDOW, free, MotionModel.FULL, Disagreement(1.0, 5.0))
+        return float(ACROSS @ found.covariance[3:, 3:] @ ACROSS)
+
+    alone = variance()
+    reader.possible = PossibleMotions(spread=np.diag([0.0, 0.0, 0.0, *VARIANCE * ACROSS]))
+    assert variance() - alone == pytest.approx(counts * VARIANCE)
