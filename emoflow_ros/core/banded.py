@@ -32,10 +32,34 @@ def _routine(name: str, *arguments: Any) -> Any:
     return ctypes.CFUNCTYPE(None, *arguments)(of_pointer(capsule, of_name(capsule)))
 
 
+_dpbsv = _routine("dpbsv", _CHAR, _INT, _INT, _INT, _ARRAY, _INT, _ARRAY, _INT, _INT)
 _dpbtrf = _routine("dpbtrf", _CHAR, _INT, _INT, _ARRAY, _INT, _INT)
 _dtbtrs = _routine(
     "dtbtrs", _CHAR, _CHAR, _CHAR, _INT, _INT, _INT, _ARRAY, _INT, _ARRAY, _INT, _INT
 )
+
+
+def solve(band: Array, right: Array) -> Array:
+    """Solve A x = b, in one call.
+
+    Args:
+        band: of A, as BandFactor takes it; not changed.
+        right: (n,) b, not changed.
+
+    Raises:
+        NotPositiveDefiniteError: there is none.
+    """
+    assert band.dtype == np.float64 and band.flags.c_contiguous and right.dtype == np.float64
+    factor, result = band.copy(), right.copy()
+    size, rows = band.shape
+    info = ctypes.c_int()
+    _dpbsv(
+        b"L", *_ints(size, rows - 1, 1), factor.ctypes.data, *_ints(rows), result.ctypes.data,
+        *_ints(size), info,
+    )  # fmt: skip
+    if info.value != 0:
+        raise NotPositiveDefiniteError
+    return result
 
 
 class BandFactor:

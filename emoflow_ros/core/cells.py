@@ -38,14 +38,6 @@ class Cells(NamedTuple):
         cells = columns - 1, rows - 1
         return cls(np.zeros((*cells, 2, 8), "f4"), np.zeros((*cells, PAIRS_OF_NODES, 3), "f4"))
 
-    def add_to(self, vector: F64, band: F64) -> None:
-        """Add them to a vector (n,) and a band matrix (n, width) of normal_equations."""
-        _add_to(self.gradient, self.curvature, vector, band)
-
-    def add_still_to(self, vector: F64, band: F64) -> None:
-        """Add them for a flow constant over the window: to a vector (n / 2,) and its matrix."""
-        _add_still_to(self.gradient, self.curvature, vector, band)
-
     def node_information(self) -> F64:
         """Curvature by a flow constant over the window, (nodes, 2, 2), neighbours fixed."""
         return _node_information(self.curvature)
@@ -66,7 +58,8 @@ class Cells(NamedTuple):
 
 
 @_compiled
-def _add_to(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
+def add_cells(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
+    """Add Cells to a vector (n,) and a band matrix (n, width) of normal_equations."""
     cells_x, cells_y = gradient.shape[:2]
     rows = cells_y + 1
     offset = np.empty(8, np.int64)
@@ -91,7 +84,8 @@ def _add_to(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
 
 
 @_compiled
-def _add_still_to(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
+def add_still_cells(gradient: F32, curvature: F32, vector: F64, band: F64) -> None:
+    """Add Cells for a flow constant over the window: to a vector (n / 2,) and its matrix."""
     cells_x, cells_y = gradient.shape[:2]
     rows = cells_y + 1
     for c in range(cells_x):

@@ -10,6 +10,7 @@ window. Within a quarter events lie close together whatever the flow, most of al
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -52,8 +53,8 @@ class ImageContrast(Protocol):
         """Contrast of events warped to the middle by a flow (columns, rows, times, 2)."""
         ...
 
-    def score(self, events: WindowEvents, u: float, v: float) -> float:
-        """Contrast of events warped to the middle by a constant flow, px per window."""
+    def scores(self, events: WindowEvents, flows: F32) -> F32:
+        """Contrasts (n,) of events warped to the middle by constant flows (n, 2), px per window."""
         ...
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
@@ -91,14 +92,23 @@ class Contrast:
         self.image = np.zeros((height, width), np.float32)  # of all events, as drawn last
         self._parts = np.zeros((PARTS, height, width), np.float32)
         self._cells = Cells.empty(lattice.columns, lattice.rows)
+        _load_kernels()
 
     def sharpen(self, events: WindowEvents, flow: F32) -> float:
         """Draw the smoothed image of the events warped to the middle, and return its contrast."""
-        return self._draw(self._warp(events, flow, 0.5), events.on(self.lattice).weights)
+        squares = kernels.draw(
+            events.on(self.lattice), 0.5, flow, self.lattice.per_px, self._zoom, self._taps,
+            self.image[None],
+        )  # fmt: skip
+        return 0.5 * self._area * squares
 
-    def score(self, events: WindowEvents, u: float, v: float) -> float:
-        """Contrast of events warped to the middle by a constant flow, px per window."""
-        return self._draw(kernels.shift(events.x, events.y, events.s, u, v), events.weights)
+    def scores(self, events: WindowEvents, flows: F32) -> F32:
+        """Contrasts (n,) of events warped to the middle by constant flows (n, 2), px per window."""
+        columns = events.x, events.y, events.s, events.weights
+        squares: F32 = kernels.draw_shifted(
+            *columns, flows, self._zoom, self._taps, self.image[None]
+        )
+        return 0.5 * self._area * squares
 
     def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
         """Gradient and curvature of the contrast between the window's parts.
@@ -110,31 +120,35 @@ class Contrast:
         right curvature. The image of the other parts moves against an event: by another
         1 / (n - 1).
         """
-        here, images = events.on(self.lattice), self._parts
-        position = self._warp(events, flow, ref)
-        kernels.vote(position, here.weights, here.part, self._zoom, images)
-        smooth(images, self._taps_twice)
-        kernels.without_own(images)  # now what the other parts draw
-        drawn = (here, ref, position, images, self._zoom)
-        slope = self._area * PAIRS
-        derivatives.pull(*drawn, slope, self._cells.gradient)
-        derivatives.stiffen(*drawn, STIFFNESS_STRIDE, slope * PAIRS, self._cells.curvature)
+        derivatives.linearise(
+            events.on(self.lattice), ref, flow, self.lattice.per_px, self._zoom, self._taps_twice,
+            self._area * PAIRS, PAIRS, STIFFNESS_STRIDE, self._parts, *self._cells,
+        )  # fmt: skip
         return self._cells
 
-    def _warp(self, events: WindowEvents, flow: F32, ref: float) -> F32:
-        """Warp events to `ref`, (2, N) px, sorted by the lattice's cells."""
-        position = np.empty((2, len(events)), np.float32)
-        acceleration = self.lattice.acceleration(flow)
-        kernels.warp(events.on(self.lattice), ref, flow, acceleration, position)
-        return position
 
-    def _draw(self, position: F32, weights: F32) -> float:
-        """Draw the smoothed image of events at positions (2, N) px, and return its contrast."""
-        one_image = np.zeros(len(weights), np.int32)
-        kernels.vote(position, weights, one_image, self._zoom, self.image[None])
-        smooth(self.image[None], self._taps)
-        flat = self.image.ravel()
-        return 0.5 * self._area * float(flat @ flat)
+@cache
+def _load_kernels() -> None:
+    """Load each kernel by itself, before the functions that call several of them.
+
+    Such a function brings copies of the kernels along, compiled anew, whose sums are taken in
+    another order. Of a kernel a process uses the copy that it has loaded first. So without this
+    a window would not have the same bits in the process that compiles and in those that load.
+    """
+    lattice = Lattice.with_spacing(16, 16, 8.0)
+    flow, cells = np.zeros(lattice.shape, np.float32), Cells.empty(lattice.columns, lattice.rows)
+    events = WindowEvents(*np.zeros((4, 1), np.float32))
+    here, position = events.on(lattice), np.zeros((2, 1), np.float32)
+    images = np.zeros((PARTS, 16, 16), np.float32)
+    kernels.warp(here, 0.5, flow, lattice.acceleration(flow), position)
+    kernels.shift(events.x, events.y, events.s, flow[0, 0, 0, 0], flow[0, 0, 0, 1])
+    kernels.vote(position, here.weights, here.part, 1.0, images)
+    for taps in (TAPS, np.convolve(TAPS, TAPS)):
+        smooth(images, outwards(taps))
+    kernels.without_own(images)
+    drawn = (here, 0.5, position, images, 1.0)
+    derivatives.pull(*drawn, 1.0, cells.gradient)
+    derivatives.stiffen(*drawn, STIFFNESS_STRIDE, 1.0, cells.curvature)
 
 
 def contrast_gain(contrast: ImageContrast, events: WindowEvents, flow: F32) -> float:
@@ -144,7 +158,7 @@ def contrast_gain(contrast: ImageContrast, events: WindowEvents, flow: F32) -> f
     pixel.
     """
     sharp = contrast.sharpen(events, flow)
-    as_came = contrast.score(events, 0.0, 0.0)
+    as_came = float(contrast.scores(events, np.zeros((1, 2), np.float32))[0])
     return sharp / as_came if as_came > _ROUNDING * sharp else 0.0
 
 
@@ -156,16 +170,12 @@ def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: flo
         events: a few thousand suffice.
         reach: largest displacement per window that is tried, px.
     """
-
-    def score(flow: tuple[float, float]) -> float:
-        return contrast.score(events, *flow)
-
     step = 2.0 / contrast.scale
-    most = int(reach / step)
-    steps = [k * step for k in range(-most, most + 1)]
-    best = max(((u, v) for u in steps for v in steps), key=score)
-    while step > 1.0:
-        step /= 2
-        around = (-step, 0.0, step)
-        best = max(((best[0] + a, best[1] + b) for a in around for b in around), key=score)
-    return np.array(best, np.float32)
+    best, most = np.zeros(2, np.float32), int(reach / step)
+    while True:
+        steps = np.arange(-most, most + 1, dtype=np.float32) * np.float32(step)
+        flows = best + np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+        best = flows[contrast.scores(events, flows).argmax()]
+        if step <= 1.0:
+            return best
+        step, most = step / 2, 1

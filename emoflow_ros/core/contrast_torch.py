@@ -76,12 +76,15 @@ class TorchContrast:
         """Leave the buffers out: they hold nothing from one call to the next."""
         return self._again, ()
 
-    def score(self, events: WindowEvents, u: float, v: float) -> float:
-        """Contrast of events warped to the middle by a constant flow, px per window."""
+    def scores(self, events: WindowEvents, flows: F32) -> F32:
+        """Contrasts (n,) of events warped to the middle by constant flows (n, 2), px per window."""
         self._events.load(events)
         x, y, s, weights = self._events.columns
-        position = torch.stack([x + (0.5 - s) * u, y + (0.5 - s) * v], dim=1)
-        return self._energy(self._draw(position, weights)).item()
+        contrasts = []
+        for u, v in flows.tolist():
+            position = torch.stack([x + (0.5 - s) * u, y + (0.5 - s) * v], dim=1)
+            contrasts.append(self._energy(self._draw(position, weights)))
+        return np.array(torch.stack(contrasts).tolist(), np.float32)
 
     def sharpen(self, events: WindowEvents, flow: F32) -> float:
         """Contrast of events warped to the middle by a flow (columns, rows, times, 2)."""

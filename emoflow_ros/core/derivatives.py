@@ -7,13 +7,45 @@ instructions, reads from the image included.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.kernels import MARGIN, fast
+from emoflow_ros.core.kernels import MARGIN, fast, vote, warp, whole, without_own
+from emoflow_ros.core.lattice_kernels import material_derivative
+from emoflow_ros.core.smoothing import Taps, smooth
 from emoflow_ros.core.window_events import CellEvents
 
 F32 = NDArray[np.float32]
 
 # Coefficients of 1, f and f^2 in the products of two hats: (1 - f)^2, (1 - f) f and f^2
 _SQUARE = np.array([(1, -2, 1), (0, 1, -1), (0, 0, 1)], np.float32)
+
+
+@whole
+def linearise(
+    events: CellEvents, ref: float, flow: F32, per_px: F32, zoom: float, taps: Taps,
+    factor: float, pairs: float, stride: int, images: F32, gradient: F32, curvature: F32,
+) -> None:  # fmt: skip
+    """Warp and draw events, and differentiate their contrast.
+
+    Args:
+        events: sorted by the cells of the flow's lattice.
+        ref: reference time in [0, 1].
+        flow: (columns, rows, 2, 2) px per window.
+        per_px: (2,) lattice cells per pixel.
+        zoom: image pixels per pixel of the working image.
+        taps: that smooth the images.
+        factor: of the sums, with `pairs` once more for the curvature.
+        stride: events per event whose stiffness is computed.
+        images: (parts, h, w), written: what the other parts draw.
+        gradient, curvature: of Cells, written.
+    """
+    position = np.empty((2, len(events.s)), np.float32)
+    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
+    material_derivative(flow, per_px, acceleration)
+    warp(events, ref, flow, acceleration, position)
+    vote(position, events.weights, events.part, zoom, images)
+    smooth(images, taps)
+    without_own(images)
+    pull(events, ref, position, images, zoom, factor, gradient)
+    stiffen(events, ref, position, images, zoom, stride, factor * pairs, curvature)
 
 
 @fast

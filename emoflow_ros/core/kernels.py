@@ -1,12 +1,16 @@
-"""Inner loops of the contrast in numba: warp, vote and what the other parts draw.
+"""The contrast in numba: warp, vote, images of warped events and what the other parts draw.
 
 Everything is in float32, positions in pixels of the sensor. `derivatives` has the derivatives.
+Whole steps are one compiled call, because each call waits for the interpreter's lock where another
+thread has it.
 """
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.lattice_kernels import material_derivative
+from emoflow_ros.core.smoothing import Taps, smooth
 from emoflow_ros.core.window_events import CellEvents
 
 F32 = NDArray[np.float32]
@@ -16,6 +20,59 @@ MARGIN = 7  # image pixels around the sensor, for warped events that leave it
 
 # Sums may be taken in any order, but NaN and infinity stay what they are: outside the image.
 fast = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+whole = numba.njit(cache=True, nogil=True)  # of calls of these
+
+
+@whole
+def draw(
+    events: CellEvents, ref: float, flow: F32, per_px: F32, zoom: float, taps: Taps, image: F32
+) -> float:
+    """Draw the image of events warped along a flow, and return the sum of its squares.
+
+    Args:
+        events: sorted by the cells of the flow's lattice.
+        ref: reference time in [0, 1].
+        flow: (columns, rows, 2, 2) px per window, at the window's start and end.
+        per_px: (2,) lattice cells per pixel.
+        zoom: image pixels per pixel of the working image.
+        taps: that smooth the image.
+        image: (1, h, w), written.
+    """
+    position = np.empty((2, len(events.s)), np.float32)
+    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
+    material_derivative(flow, per_px, acceleration)
+    warp(events, ref, flow, acceleration, position)
+    vote(position, events.weights, np.zeros(len(events.s), np.int32), zoom, image)
+    smooth(image, taps)
+    return _squares(image)
+
+
+@whole
+def draw_shifted(
+    x: F32, y: F32, s: F32, weights: F32, flows: F32, zoom: float, taps: Taps, image: F32
+) -> F32:
+    """Draw events once for each constant flow, and return the sums of squares (n,).
+
+    Args:
+        x, y, s, weights: (N,) events.
+        flows: (n, 2) px per window.
+        zoom, taps, image: as in `draw`.
+    """
+    one_image = np.zeros(len(x), np.int32)
+    squares = np.empty(len(flows), np.float32)
+    for n in range(len(flows)):
+        vote(shift(x, y, s, flows[n, 0], flows[n, 1]), weights, one_image, zoom, image)
+        smooth(image, taps)
+        squares[n] = _squares(image)
+    return squares
+
+
+@fast
+def _squares(image: F32) -> float:
+    total = np.float32(0)
+    for value in image.ravel():
+        total += value * value
+    return float(total)
 
 
 @fast

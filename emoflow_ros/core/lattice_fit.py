@@ -126,9 +126,7 @@ class LatticeFit:
         """Set up the normal equations of contrast and smoothness at the present flow."""
         cells = self.contrasts[scale].linearise(events, self.flow)
         self.evidence = cells.node_information()
-        self._equations.clear()
-        self._equations.add(cells)
-        self._equations.add_smoothness(self.flow, self.config)
+        self._equations.set_up(cells, self.flow, self.config)
 
     def free_flow(self) -> FreeFlow:
         """Solve the present normal equations without the epipolar constraint."""

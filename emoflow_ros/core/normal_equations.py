@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError
-from emoflow_ros.core.cells import Cells
+from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve
+from emoflow_ros.core.cells import Cells, add_cells, add_still_cells
 from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 
 Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
@@ -45,36 +46,23 @@ class NormalEquations:
         self.corner = np.zeros((further, further))
         self.corner_vector = np.zeros(further)
 
-    def clear(self) -> None:
-        """Start anew."""
-        for part in (self.vector, self.band, self.border, self.corner, self.corner_vector):
-            part[:] = 0.0
-
-    def add(self, cells: Cells) -> None:
-        """Add a contrast's derivatives."""
-        if self.lattice.times == 1:
-            cells.add_still_to(self.vector, self.band)
-        else:
-            cells.add_to(self.vector, self.band)
-
-    def add_smoothness(self, flow: NDArray[np.float32], config: LatticeConfig) -> None:
-        """Add the prior on a field: smooth in space up to edges, and in time.
+    def set_up(self, cells: Cells, flow: NDArray[np.float32], config: LatticeConfig) -> None:
+        """Start anew from a contrast and the prior on a field: smooth up to edges, and in time.
 
         Args:
+            cells: the contrast's derivatives.
             flow: (columns, rows, times, 2) px per window, to linearise at.
             config: weights of the second differences in space and of the differences in time, and
                 the second difference (px per window) above which it counts as an edge.
         """
         lattice = self.lattice
         each = TIMES / lattice.times  # a value that does not change stands for both times
-        self.band[:, 0] += each * _RIDGE
         values = flow.reshape(-1, lattice.times, 2).astype(np.float64)
-        for nodes, coefficients in lattice.second_differences:
-            add_stencil(
-                values, nodes, coefficients, each * config.smoothness, config.edge_px,
-                self.vector, self.band,
-            )  # fmt: skip
-        add_differences_in_time(values, config.smoothness_in_time, self.vector, self.band)
+        _set_up(
+            *cells, values, lattice.second_differences, each * _RIDGE, each * config.smoothness,
+            config.edge_px, config.smoothness_in_time,
+            self.vector, self.band, self.border, self.corner, self.corner_vector,
+        )  # fmt: skip
 
     def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
         """Add weighted squares of residuals that each concern one node at one time.
@@ -96,13 +84,10 @@ class NormalEquations:
         Raises:
             NotPositiveDefiniteError: there is none.
         """
-        factor = BandFactor(self.band)
-        step = self.vector.copy()[:, None]
-        factor.forward(step)
-        factor.backward(step)
+        step = solve(self.band, self.vector)
         if not np.isfinite(step).all():
             raise NotPositiveDefiniteError
-        return step[:, 0]
+        return step
 
     def corner_of(self, by_other: Array) -> tuple[Array, Array]:
         """Corner (p, p) and its vector (p,) for others that the further unknowns depend on.
@@ -143,6 +128,33 @@ class NormalEquations:
 
 
 @_compiled
+def _set_up(
+    gradient: F32, curvature: F32, flow: F64, stencils: tuple[tuple[NDArray[np.int64], F64], ...],
+    ridge: float, weight: float, limit: float, in_time: float,
+    vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,
+) -> None:  # fmt: skip
+    """Start anew, in one call: see `kernels`.
+
+    Args:
+        gradient, curvature: of Cells.
+        stencils: nodes and coefficients; flow, weight, limit, vector, band: as in `add_stencil`.
+        ridge: stiffness of each value.
+        in_time: weight as in `add_differences_in_time`.
+        border, corner, corner_vector: are cleared.
+    """
+    vector[:], band[:], border[:], corner[:], corner_vector[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    if flow.shape[1] == 1:
+        add_still_cells(gradient, curvature, vector, band)
+    else:
+        add_cells(gradient, curvature, vector, band)
+    for i in range(len(band)):
+        band[i, 0] += ridge
+    for nodes, coefficients in stencils:
+        add_stencil(flow, nodes, coefficients, weight, limit, vector, band)
+    add_differences_in_time(flow, in_time, vector, band)
+
+
+@_compiled
 def add_stencil(
     flow: F64, nodes: NDArray[np.int64], coefficients: F64, weight: float, limit: float,
     vector: F64, band: F64,
@@ -162,26 +174,27 @@ def add_stencil(
         band: (n, bandwidth + 1), lower band storage: band[j, i - j] is entry (i, j).
     """
     times = flow.shape[1]
-    z = np.empty((times, 2))
+    each = 2 * times  # unknowns of a node
+    values = flow.reshape(-1, each)
+    z = np.empty(each)
     for n in range(len(nodes)):
         z[:] = 0.0
         for k in range(nodes.shape[1]):
-            for q in range(times):
-                for d in range(2):
-                    z[q, d] += coefficients[k] * flow[nodes[n, k], q, d]
-        stiffness = weight / np.sqrt(1 + (z * z).sum() / (times * limit * limit))
+            for c in range(each):
+                z[c] += coefficients[k] * values[nodes[n, k], c]
+        squares = 0.0
+        for c in range(each):
+            squares += z[c] * z[c]
+        stiffness = weight / np.sqrt(1 + squares / (times * limit * limit))
         for k in range(nodes.shape[1]):
-            for q in range(times):
-                for d in range(2):
-                    i = (nodes[n, k] * times + q) * 2 + d
-                    vector[i] -= stiffness * coefficients[k] * z[q, d]
-                    for m in range(k + 1):
-                        j = (nodes[n, m] * times + q) * 2 + d
-                        pair = stiffness * coefficients[k] * coefficients[m]
-                        if i >= j:
-                            band[j, i - j] += pair
-                        else:
-                            band[i, j - i] += pair
+            i = nodes[n, k] * each
+            for c in range(each):
+                vector[i + c] -= stiffness * coefficients[k] * z[c]
+            for m in range(k + 1):
+                j = nodes[n, m] * each
+                pair = stiffness * coefficients[k] * coefficients[m]
+                for c in range(each):
+                    band[min(i, j) + c, abs(i - j)] += pair
 
 
 @_compiled

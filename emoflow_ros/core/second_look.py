@@ -86,9 +86,8 @@ class SecondLook:
         for (scale, number, times, steps), equations in zip(_STEPS, self._equations, strict=True):
             few = events.every(max(1, len(events) // number))
             for _ in range(steps):
-                equations.clear()
-                equations.add(self._contrasts[scale].linearise(few, flow))
-                equations.add_smoothness(flow[:, :, :times], self._config)
+                cells = self._contrasts[scale].linearise(few, flow)
+                equations.set_up(cells, flow[:, :, :times], self._config)
                 flow = (flow + equations.solve().reshape(equations.lattice.shape)).astype(
                     np.float32
                 )

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError
+from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve
 
 SIZE, WIDTH = 30, 4
 
@@ -37,10 +37,21 @@ def test_forward_and_backward_solve_the_system(rng: np.random.Generator) -> None
     np.testing.assert_array_equal(band, kept)
 
 
+def test_solve_is_the_dense_solution(rng: np.random.Generator) -> None:
+    dense, band = matrix_and_band(rng)
+    kept, right = band.copy(), rng.normal(size=SIZE)
+    kept_right = right.copy()
+    np.testing.assert_allclose(dense @ solve(band, right), right, atol=1e-12)
+    np.testing.assert_array_equal(band, kept)
+    np.testing.assert_array_equal(right, kept_right)
+
+
 @pytest.mark.parametrize("pivot", [0.0, -1.0])
 def test_a_matrix_without_a_factor_is_refused(rng: np.random.Generator, pivot: float) -> None:
     _, band = matrix_and_band(rng)
     band[7, 0] = pivot
+    with pytest.raises(NotPositiveDefiniteError):
+        solve(band, np.ones(SIZE))
     with pytest.raises(NotPositiveDefiniteError):
         BandFactor(band)
 
@@ -48,7 +59,7 @@ def test_a_matrix_without_a_factor_is_refused(rng: np.random.Generator, pivot: f
 def test_threads_do_not_disturb_each_other(rng: np.random.Generator) -> None:
     dense, band = matrix_and_band(rng)
 
-    def solve(right: np.ndarray) -> np.ndarray:
+    def work(right: np.ndarray) -> np.ndarray:
         for _ in range(50):
             solution = right.copy(order="F")
             factor = BandFactor(band)
@@ -58,5 +69,5 @@ def test_threads_do_not_disturb_each_other(rng: np.random.Generator) -> None:
 
     rights = [np.asfortranarray(rng.normal(size=(SIZE, 2))) for _ in range(4)]
     with ThreadPoolExecutor(4) as pool:
-        for right, found in zip(rights, pool.map(solve, rights), strict=True):
+        for right, found in zip(rights, pool.map(work, rights), strict=True):
             np.testing.assert_allclose(dense @ found, right, atol=1e-12)

@@ -141,9 +141,10 @@ def test_score_and_gain_as_on_the_processor(rng, device, scale):
     contrast = TorchContrast(grid, scale, device=device, capacity=CAPACITY)
     reference = Contrast(grid, scale)
     events, flow = moving_dots(rng), random_flow(rng, grid.shape, scale=1.0)
-    for u, v in ((0.0, 0.0), (7.5, -4.25), (-150.0, 90.0)):
-        expected = reference.score(events, u, v)
-        assert contrast.score(events, u, v) == pytest.approx(expected, rel=1e-5)
+    flows = np.array([(0.0, 0.0), (7.5, -4.25), (-150.0, 90.0)], np.float32)
+    np.testing.assert_allclose(
+        contrast.scores(events, flows), reference.scores(events, flows), rtol=1e-5
+    )
     assert contrast_gain(contrast, events, flow) == pytest.approx(
         contrast_gain(reference, events, flow), rel=1e-5
     )

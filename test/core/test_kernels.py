@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 from emoflow_ros.core import derivatives, kernels, normal_equations
-from emoflow_ros.core.cells import Cells
+from emoflow_ros.core.cells import Cells, add_cells
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_kernels import material_derivative
 from emoflow_ros.core.smoothing import gaussian, outwards, smooth
@@ -142,7 +142,7 @@ def fast_pull(events, ref, position, potentials, scale, stride, factor=1.0):
     derivatives.stiffen(*drawn, stride, factor, cells.curvature)
     vector = np.zeros(LATTICE.unknowns)
     band = np.zeros((LATTICE.unknowns, LATTICE.bandwidth + 1))
-    cells.add_to(vector, band)
+    add_cells(*cells, vector, band)
     return vector, dense(band)
 
 

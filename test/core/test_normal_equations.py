@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from emoflow_ros.core.cells import Cells, add_cells, add_still_cells
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.normal_equations import NormalEquations, NotPositiveDefiniteError
@@ -11,6 +12,7 @@ LATTICE = Lattice(60, 50, 4, 3, 2)
 N = LATTICE.unknowns
 BORDER = 7  # three at each of two times, and one more
 OTHERS = 9
+NOTHING = Cells.empty(LATTICE.columns, LATTICE.rows)
 
 
 def dense(band):
@@ -118,19 +120,39 @@ def test_smoothness_of_a_flow_constant_in_time_is_that_of_both_times():
     flow = np.random.default_rng(8).normal(size=(4, 3, 1, 2)).astype(np.float32)
     config = LatticeConfig()
     still, both = NormalEquations(replace(LATTICE, times=1), 0), NormalEquations(LATTICE, 0)
-    still.add_smoothness(flow, config)
-    both.add_smoothness(np.repeat(flow, 2, axis=2), config)
+    still.set_up(NOTHING, flow, config)
+    both.set_up(NOTHING, np.repeat(flow, 2, axis=2), config)
     same = np.kron(np.eye(12), np.tile(np.eye(2), (2, 1)))
     np.testing.assert_allclose(still.vector, same.T @ both.vector, atol=1e-12)
     np.testing.assert_allclose(dense(still.band), same.T @ dense(both.band) @ same, atol=1e-9)
 
 
-def test_clear_starts_anew(equations):
-    add_border(equations, np.random.default_rng(7))
-    equations.clear()
-    assert not equations.band.any() and not equations.vector.any()
+def test_set_up_starts_anew(equations):
+    rng = np.random.default_rng(7)
+    add_border(equations, rng)
+    cells = Cells(*(rng.normal(size=part.shape).astype(np.float32) for part in NOTHING))
+    flow = rng.normal(size=LATTICE.shape).astype(np.float32)
+    fresh = NormalEquations(LATTICE, BORDER)
+    for one in (equations, fresh):
+        one.set_up(cells, flow, LatticeConfig())
+    np.testing.assert_array_equal(equations.band, fresh.band)
+    np.testing.assert_array_equal(equations.vector, fresh.vector)
     for part in (equations.border, equations.corner, equations.corner_vector):
         assert not part.any()
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_set_up_adds_contrast_and_smoothness(times):
+    rng = np.random.default_rng(9)
+    cells = Cells(*(rng.normal(size=part.shape).astype(np.float32) for part in NOTHING))
+    flow = rng.normal(size=LATTICE.shape).astype(np.float32)[:, :, :times]
+    smooth, both = (NormalEquations(replace(LATTICE, times=times), 0) for _ in range(2))
+    smooth.set_up(NOTHING, flow, LatticeConfig())
+    both.set_up(cells, flow, LatticeConfig())
+    vector, band = np.zeros_like(smooth.vector), np.zeros_like(smooth.band)
+    (add_cells if times == 2 else add_still_cells)(*cells, vector, band)
+    np.testing.assert_allclose(both.vector, vector + smooth.vector, atol=1e-12)
+    np.testing.assert_allclose(both.band, band + smooth.band, atol=1e-12)
 
 
 def test_no_minimum_is_an_error(equations):
