@@ -1,4 +1,4 @@
-"""Cholesky factors of band matrices by LAPACK, called so that other threads can run meanwhile.
+"""Cholesky factors of band matrices, and solutions, by LAPACK, while other threads can run.
 
 SciPy's own functions for it keep the interpreter's lock, and a window is fitted in two threads.
 These are the same routines, from the table of pointers that SciPy has for Cython.
@@ -39,7 +39,7 @@ _dtbtrs = _routine(
 )
 
 
-def solve(band: Array, right: Array) -> Array:
+def solve_banded(band: Array, right: Array) -> Array:
     """Solve A x = b, in one call.
 
     Args:
@@ -49,7 +49,8 @@ def solve(band: Array, right: Array) -> Array:
     Raises:
         NotPositiveDefiniteError: there is none.
     """
-    assert band.dtype == np.float64 and band.flags.c_contiguous and right.dtype == np.float64
+    assert band.dtype == np.float64 and band.flags.c_contiguous
+    assert right.shape == (len(band),) and right.dtype == np.float64
     factor, result = band.copy(), right.copy()
     size, rows = band.shape
     info = ctypes.c_int()

@@ -11,7 +11,7 @@ window. Within a quarter events lie close together whatever the flow, most of al
 
 from collections.abc import Callable
 from functools import cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +94,10 @@ class Contrast:
         self._cells = Cells.empty(lattice.columns, lattice.rows)
         _load_kernels()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave the buffers out: they hold nothing from one call to the next."""
+        return Contrast, (self.lattice, self.scale)
+
     def sharpen(self, events: WindowEvents, flow: F32) -> float:
         """Draw the smoothed image of the events warped to the middle, and return its contrast."""
         squares = kernels.draw(
@@ -122,7 +126,7 @@ class Contrast:
         """
         derivatives.linearise(
             events.on(self.lattice), ref, flow, self.lattice.per_px, self._zoom, self._taps_twice,
-            self._area * PAIRS, PAIRS, STIFFNESS_STRIDE, self._parts, *self._cells,
+            STIFFNESS_STRIDE, self._parts, *self._cells,
         )  # fmt: skip
         return self._cells
 
@@ -146,6 +150,7 @@ def _load_kernels() -> None:
     for taps in (TAPS, np.convolve(TAPS, TAPS)):
         smooth(images, outwards(taps))
     kernels.without_own(images)
+    kernels.sum_of_squares(images[:1])
     drawn = (here, 0.5, position, images, 1.0)
     derivatives.pull(*drawn, 1.0, cells.gradient)
     derivatives.stiffen(*drawn, STIFFNESS_STRIDE, 1.0, cells.curvature)

@@ -7,8 +7,7 @@ instructions, reads from the image included.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.kernels import MARGIN, fast, vote, warp, whole, without_own
-from emoflow_ros.core.lattice_kernels import material_derivative
+from emoflow_ros.core.kernels import MARGIN, fast, vote, warp_along, whole, without_own
 from emoflow_ros.core.smoothing import Taps, smooth
 from emoflow_ros.core.window_events import CellEvents
 
@@ -20,32 +19,26 @@ _SQUARE = np.array([(1, -2, 1), (0, 1, -1), (0, 0, 1)], np.float32)
 
 @whole
 def linearise(
-    events: CellEvents, ref: float, flow: F32, per_px: F32, zoom: float, taps: Taps,
-    factor: float, pairs: float, stride: int, images: F32, gradient: F32, curvature: F32,
+    events: CellEvents, ref: float, flow: F32, per_px: F32, zoom: float, taps: Taps, stride: int,
+    images: F32, gradient: F32, curvature: F32,
 ) -> None:  # fmt: skip
-    """Warp and draw events, and differentiate their contrast.
+    """Warp and draw events, and differentiate their contrast: see `contrast.Contrast.linearise`.
 
     Args:
-        events: sorted by the cells of the flow's lattice.
-        ref: reference time in [0, 1].
-        flow: (columns, rows, 2, 2) px per window.
-        per_px: (2,) lattice cells per pixel.
-        zoom: image pixels per pixel of the working image.
-        taps: that smooth the images.
-        factor: of the sums, with `pairs` once more for the curvature.
+        events, ref, flow, per_px: as in `kernels.warp_along`.
+        zoom, taps: as in `kernels.draw`.
         stride: events per event whose stiffness is computed.
         images: (parts, h, w), written: what the other parts draw.
         gradient, curvature: of Cells, written.
     """
-    position = np.empty((2, len(events.s)), np.float32)
-    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
-    material_derivative(flow, per_px, acceleration)
-    warp(events, ref, flow, acceleration, position)
+    pairs = len(images) / (len(images) - 1)  # all pairs of events over those of different parts
+    slope = zoom * zoom * pairs
+    position = warp_along(events, ref, flow, per_px)
     vote(position, events.weights, events.part, zoom, images)
     smooth(images, taps)
     without_own(images)
-    pull(events, ref, position, images, zoom, factor, gradient)
-    stiffen(events, ref, position, images, zoom, stride, factor * pairs, curvature)
+    pull(events, ref, position, images, zoom, slope, gradient)
+    stiffen(events, ref, position, images, zoom, stride, slope * pairs, curvature)
 
 
 @fast

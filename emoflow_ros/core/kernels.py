@@ -20,7 +20,24 @@ MARGIN = 7  # image pixels around the sensor, for warped events that leave it
 
 # Sums may be taken in any order, but NaN and infinity stay what they are: outside the image.
 fast = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
-whole = numba.njit(cache=True, nogil=True)  # of calls of these
+whole = numba.njit(cache=True, nogil=True)  # for functions that only call such kernels
+
+
+@whole
+def warp_along(events: CellEvents, ref: float, flow: F32, per_px: F32) -> F32:
+    """Warp events to the time `ref` along a flow, (2, N) px.
+
+    Args:
+        events: sorted by the cells of the flow's lattice.
+        ref: reference time in [0, 1].
+        flow: (columns, rows, 2, 2) px per window, at the window's start and end.
+        per_px: (2,) lattice cells per pixel.
+    """
+    position = np.empty((2, len(events.s)), np.float32)
+    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
+    material_derivative(flow, per_px, acceleration)
+    warp(events, ref, flow, acceleration, position)
+    return position
 
 
 @whole
@@ -30,21 +47,15 @@ def draw(
     """Draw the image of events warped along a flow, and return the sum of its squares.
 
     Args:
-        events: sorted by the cells of the flow's lattice.
-        ref: reference time in [0, 1].
-        flow: (columns, rows, 2, 2) px per window, at the window's start and end.
-        per_px: (2,) lattice cells per pixel.
+        events, ref, flow, per_px: as in `warp_along`.
         zoom: image pixels per pixel of the working image.
         taps: that smooth the image.
         image: (1, h, w), written.
     """
-    position = np.empty((2, len(events.s)), np.float32)
-    acceleration = np.empty((flow.shape[0], flow.shape[1], 2), np.float32)
-    material_derivative(flow, per_px, acceleration)
-    warp(events, ref, flow, acceleration, position)
+    position = warp_along(events, ref, flow, per_px)
     vote(position, events.weights, np.zeros(len(events.s), np.int32), zoom, image)
     smooth(image, taps)
-    return _squares(image)
+    return sum_of_squares(image)
 
 
 @whole
@@ -63,12 +74,13 @@ def draw_shifted(
     for n in range(len(flows)):
         vote(shift(x, y, s, flows[n, 0], flows[n, 1]), weights, one_image, zoom, image)
         smooth(image, taps)
-        squares[n] = _squares(image)
+        squares[n] = sum_of_squares(image)
     return squares
 
 
 @fast
-def _squares(image: F32) -> float:
+def sum_of_squares(image: F32) -> float:
+    """Add up the squares of an image of any shape."""
     total = np.float32(0)
     for value in image.ravel():
         total += value * value

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve
+from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve_banded
 from emoflow_ros.core.cells import Cells, add_cells, add_still_cells
 from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -46,7 +46,7 @@ class NormalEquations:
         self.corner = np.zeros((further, further))
         self.corner_vector = np.zeros(further)
 
-    def set_up(self, cells: Cells, flow: NDArray[np.float32], config: LatticeConfig) -> None:
+    def set_up(self, cells: Cells, flow: F32, config: LatticeConfig) -> None:
         """Start anew from a contrast and the prior on a field: smooth up to edges, and in time.
 
         Args:
@@ -84,7 +84,7 @@ class NormalEquations:
         Raises:
             NotPositiveDefiniteError: there is none.
         """
-        step = solve(self.band, self.vector)
+        step = solve_banded(self.band, self.vector)
         if not np.isfinite(step).all():
             raise NotPositiveDefiniteError
         return step
@@ -133,7 +133,7 @@ def _set_up(
     ridge: float, weight: float, limit: float, in_time: float,
     vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,
 ) -> None:  # fmt: skip
-    """Start anew, in one call: see `kernels`.
+    """Clear everything, then add contrast, ridge and smoothness; one call, as in `kernels`.
 
     Args:
         gradient, curvature: of Cells.

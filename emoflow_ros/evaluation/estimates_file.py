@@ -28,7 +28,7 @@ from emoflow_ros.evaluation.estimates_columns import (
     quality_values,
     track_columns,
 )
-from emoflow_ros.evaluation.metrics import ComparedTracks
+from emoflow_ros.evaluation.track_errors import ComparedTracks
 
 FORMAT = "emoflow_ros/estimates"
 VERSION = 1

@@ -18,7 +18,6 @@ from emoflow_ros.evaluation.ablation import ABLATIONS, ablate, table_of, variant
 from emoflow_ros.evaluation.benchmark_sequences import find_sequence
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.gyro_check import check_lines
-from emoflow_ros.evaluation.metrics import TrackComparer
 from emoflow_ros.evaluation.protocols import (
     CAUSAL,
     DSEC,
@@ -44,6 +43,7 @@ from emoflow_ros.evaluation.recording_options import (
     with_choice,
 )
 from emoflow_ros.evaluation.run_progress import Checkpoint, Progress
+from emoflow_ros.evaluation.track_errors import TrackComparer
 from emoflow_ros.evaluation.window_run import Evaluation, proceed
 from emoflow_ros.readers import KNOWN_FORMATS, require_camera
 from emoflow_ros.report.report_writer import Report, write_report

@@ -21,8 +21,8 @@ from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Window
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation.metrics import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.slicers import Slicer
+from emoflow_ros.evaluation.track_errors import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.window_results import WindowResult
 
 WORST = 5

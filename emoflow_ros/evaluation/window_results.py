@@ -10,7 +10,6 @@ from emoflow_ros.core.events import Window
 from emoflow_ros.evaluation.metrics import (
     FlowErrors,
     Mask,
-    TrackErrors,
     angle_deg,
     at_pixels,
     event_mask,
@@ -18,6 +17,7 @@ from emoflow_ros.evaluation.metrics import (
     known_flow_mask,
 )
 from emoflow_ros.evaluation.slicers import compared_part
+from emoflow_ros.evaluation.track_errors import TrackErrors
 from emoflow_ros.truth import TrueFlow, TrueTwist, Truth
 
 Vector = NDArray[np.float64]

@@ -24,7 +24,6 @@ from emoflow_ros.evaluation.window_run import Evaluation
 from emoflow_ros.report import figures
 from emoflow_ros.report.documents import png_uri, render, svg_uri, window_row, write_csv, write_json
 from emoflow_ros.report.window_pictures import (
-    PANEL_PX,
     error_legend,
     flow_legend,
     track_panels,
@@ -59,7 +58,7 @@ DEFINITIONS = (
     "rotation and translation that fit them best to the truth (no scaling).",
     "The real-time factor is recorded time over the estimator's time; above 1 is faster than real "
     "time. The estimator's time is taken while the window before is compared with the truth, which "
-    "makes it up to a quarter longer on two cores.",
+    "makes it about a fifth longer on two cores.",
     "Intervals are 95 % percentile bootstrap intervals over windows. Neighbouring windows are not "
     "independent, so that they are rather too narrow than too wide.",
 )
@@ -161,7 +160,6 @@ def render_page(
         charts=_charts(run),
         examples=[(e, window_pictures(e, run.camera, run.truth)) for e in examples],
         png_uri=png_uri,
-        panel_px=PANEL_PX,
         flow_legend=png_uri(flow_legend()),
         error_legend=png_uri(error_legend()),
         pictured={example.result.index for example in examples},

@@ -24,7 +24,7 @@ _UNKNOWN = "#dddddd"
 _MOVING = "#1f7fd8"
 _ERRORS = mpl.colormaps["magma_r"].with_extremes(bad=_UNKNOWN)
 _EVENTS = mpl.colormaps["gray_r"]
-PANEL_PX = 330  # width of a panel on the page
+_PAGE_PX = 1000  # width of the page, which the panels share
 _WIDEST = 700  # px; of wider images every n-th pixel is shown, and events of n x n pixels together
 
 _COLORS = "plasma_r"
@@ -44,6 +44,16 @@ class WindowPictures:
     panels: tuple[tuple[str, Image], ...]
     longest_px: float
     error_limit_px: float | None
+
+    @property
+    def columns(self) -> int:
+        """Number of panels side by side on the page."""
+        return 4 if self.error_limit_px is None else 3
+
+    @property
+    def enlarged(self) -> bool:
+        """Whether the page shows the images larger than they are."""
+        return self.panels[0][1].shape[1] * self.columns < _PAGE_PX
 
 
 def window_pictures(example: Example, camera: Camera, truth: Truth) -> WindowPictures:
@@ -90,7 +100,7 @@ def _longest(estimated: NDArray[np.float64], true: TrueFlow | None) -> float:
 
 def _outline(moving: Mask) -> Mask:
     """Mark the border of what moves, so wide that a panel of the page shows it."""
-    width = -(-moving.shape[1] // PANEL_PX)
+    width = -(-3 * moving.shape[1] // _PAGE_PX)
     inside: Mask = binary_erosion(moving, iterations=width, border_value=1)
     return moving & ~inside
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve
+from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve_banded
 
 SIZE, WIDTH = 30, 4
 
@@ -41,7 +41,7 @@ def test_solve_is_the_dense_solution(rng: np.random.Generator) -> None:
     dense, band = matrix_and_band(rng)
     kept, right = band.copy(), rng.normal(size=SIZE)
     kept_right = right.copy()
-    np.testing.assert_allclose(dense @ solve(band, right), right, atol=1e-12)
+    np.testing.assert_allclose(dense @ solve_banded(band, right), right, atol=1e-12)
     np.testing.assert_array_equal(band, kept)
     np.testing.assert_array_equal(right, kept_right)
 
@@ -51,7 +51,7 @@ def test_a_matrix_without_a_factor_is_refused(rng: np.random.Generator, pivot: f
     _, band = matrix_and_band(rng)
     band[7, 0] = pivot
     with pytest.raises(NotPositiveDefiniteError):
-        solve(band, np.ones(SIZE))
+        solve_banded(band, np.ones(SIZE))
     with pytest.raises(NotPositiveDefiniteError):
         BandFactor(band)
 
@@ -65,6 +65,8 @@ def test_threads_do_not_disturb_each_other(rng: np.random.Generator) -> None:
             factor = BandFactor(band)
             factor.forward(solution)
             factor.backward(solution)
+            alone = solve_banded(band, right[:, 0])
+        np.testing.assert_allclose(alone, solution[:, 0], atol=1e-12)
         return solution
 
     rights = [np.asfortranarray(rng.normal(size=(SIZE, 2))) for _ in range(4)]

@@ -136,7 +136,7 @@ def test_a_step_copies_the_field_and_the_cells_and_asks_the_device_for_nothing_e
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_score_and_gain_as_on_the_processor(rng, device, scale):
+def test_scores_and_gain_as_on_the_processor(rng, device, scale):
     grid = lattice()
     contrast = TorchContrast(grid, scale, device=device, capacity=CAPACITY)
     reference = Contrast(grid, scale)

@@ -11,7 +11,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import estimates_file
 from emoflow_ros.evaluation.estimates_columns import ADDED, QUALITY
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
-from emoflow_ros.evaluation.metrics import ComparedTracks
+from emoflow_ros.evaluation.track_errors import ComparedTracks
 
 CAMERA = Camera(6, 4, 5.0, 5.0, 3.0, 2.0, "equidistant", (0.1, 0.2, 0.3, 0.4))
 T0 = 1_744_227_144_732_712_345  # a Unix time that float64 seconds cannot hold exactly

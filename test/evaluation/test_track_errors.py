@@ -6,7 +6,7 @@ from constant_flow import ConstantFlow
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.evaluation.metrics import TrackComparer
+from emoflow_ros.evaluation.track_errors import TrackComparer
 from emoflow_ros.truth import TrueFlow, Truth
 
 CAMERA = Camera(120, 90, 100.0, 100.0, 59.5, 44.5)

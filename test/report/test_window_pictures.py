@@ -116,6 +116,17 @@ def test_without_a_truth_there_is_no_error():
     assert found.error_limit_px is None
 
 
+@pytest.mark.parametrize(
+    ("width", "known", "columns", "enlarged"),
+    [(320, True, 3, True), (346, True, 3, False), (240, False, 4, True), (304, False, 4, False)],
+)
+def test_images_that_the_page_makes_larger_are_known(width, known, columns, enlarged):
+    camera = camera_of(width, 30)
+    truth = Truth(flows=Flows(true_flow(camera))) if known else Truth()
+    found = window_pictures(example(camera, events_at((5, 5)), truth), camera, truth)
+    assert (found.columns, found.enlarged) == (columns, enlarged)
+
+
 def test_what_moves_by_itself_is_outlined():
     camera = camera_of(40, 30)
     truth = Truth(flows=Flows(true_flow(camera, moving=True)))
