@@ -140,7 +140,7 @@ class Player:
         begin, end = self._reader.start_time, self._reader.end_time
         pace = Pace(rate)
         tick = begin
-        with tqdm(total=(end - begin) / NS_PER_S, bar_format=_BAR) as bar:
+        with tqdm(total=(end - begin) / NS_PER_S, bar_format=_BAR, disable=None) as bar:
             for connection, t, data in read_messages(self._path, self._reader, self._connections):
                 cdr = self._to_cdr(connection, data)
                 pace.wait((t - begin) / NS_PER_S)
