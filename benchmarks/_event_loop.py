@@ -41,6 +41,7 @@ _FRAME_US = 4096  # rendered; one step of EVT3's high time word
 _FRAME = 1000 * _FRAME_US
 _FRAMES = 1000  # per turn
 _CALIBRATION_PERIOD = 50 * NS_PER_MS
+_LEAD_IN_S = 2.0  # of the clock
 _PACKET = "event_camera_msgs/msg/EventPacket"
 _PACKET_MSG = (
     "std_msgs/Header header\nuint32 height\nuint32 width\nuint64 seq\nuint64 time_base\n"
@@ -199,15 +200,19 @@ def evt3(events: Events) -> NDArray[np.uint16]:
 
 
 def write_loop(
-    path: Path, loop: Loop, duration_s: float, lead_in_s: float, *, progress: bool = False
+    path: Path, loop: Loop, duration_s: float, pace: float, *, progress: bool = False
 ) -> None:
-    """Write a bag: packets, calibration, and before each packet a mark with the packet's end.
+    """Write a bag for a replay at this pace: packets, calibration, and marks.
+
+    A mark stands before a packet, with the packet's end. There is one in about 4 ms of the replay:
+    one for each packet would take as much of the processor as a third of the node.
 
     Args:
         path: does not exist yet.
         loop: what is repeated.
         duration_s: length of the events.
-        lead_in_s: of the calibration alone, in which all subscribers find their topics.
+        pace: of the replay. Before the events it plays the calibration alone for 2 s, in which all
+            subscribers find their topics.
         progress: whether to show a bar.
     """
     encoder = MessageEncoder(ros1=False)
@@ -236,9 +241,9 @@ def write_loop(
     def encode_mark(end: int) -> bytes:
         return bytes(store.serialize_cdr(header(stamp(*divmod(end, NS_PER_S)), ""), _MARK))
 
-    calibrations = range(START - round(lead_in_s * NS_PER_S), ends[-1], _CALIBRATION_PERIOD)
+    calibrations = range(START - round(_LEAD_IN_S * pace * NS_PER_S), ends[-1], _CALIBRATION_PERIOD)
     topics = [
-        Topic(MARKS, _MARK, ends, encode_mark),
+        Topic(MARKS, _MARK, ends[:: max(1, round(_FRAME * pace / period))], encode_mark),
         Topic(EVENTS, _PACKET, ends, encode_packet),
         Topic(CALIBRATION, CAMERA_INFO, calibrations, lambda t: encoder.camera_info(t, camera)),
     ]

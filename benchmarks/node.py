@@ -5,9 +5,10 @@ through the executable `estimator`, in processes of their own on two cores; this
 subscribes. Each case has its sensor, its rate of events and its pace of the replay.
 
 The age of a twist is the time from its stamp to its publication, as DDS stamps it. `replay`
-publishes a packet of 1 to 4 ms at its end, and a mark just before it: the recording's time passes
-on the clock as the marks say. At a pace of 5 an event is one fifth of the recording's time later
-on the clock, and ages are those on the clock. The first second does not count.
+publishes a packet of 1 to 4 ms at its end, and about every 4 ms a mark just before it: the
+recording's time passes on the clock as the marks say. At a pace of 5 an event is one fifth of the
+recording's time later on the clock, and ages are those on the clock. The first second does not
+count.
 
 A window is lost if the estimator did not answer it. A message is lost if the node's queue was full;
 the node counts it as a gap in `seq`. Resident memory and processor time come from
@@ -36,7 +37,6 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 
 CORES = 2
-_LEAD_IN_S = 2.0  # of the clock: all subscribers find their topics in that time
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _run_case(name: str, case: Case, loop: Loop, seconds: float, folder: Path) -
     events = loop.events(seconds)
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
         bag = Path(temporary) / name
-        write_loop(bag, loop, seconds, _LEAD_IN_S * case.pace, progress=True)
+        write_loop(bag, loop, seconds, case.pace, progress=True)
         observed = replay_through_node(bag, case.pace)
     windows = loop.windows(seconds, load_config("realtime").window)
     found = figures(observed, Sent(loop.size(seconds), events, windows))

@@ -59,7 +59,7 @@ def test_bag_repeats_the_loop_with_later_times(tmp_path):
     """4200 frames: EVT3's time wraps after 4096 of them."""
     loop = looped(5, 40, per_frame=2)
     seconds = 4200 * FRAME / 1e9
-    write_loop(tmp_path / "bag", loop, seconds, 0.1)
+    write_loop(tmp_path / "bag", loop, seconds, 1)
     packets = decoded(tmp_path / "bag")
     assert len(packets) == 8400
     for k in (0, 3, 4096, 4199):
@@ -71,12 +71,19 @@ def test_bag_repeats_the_loop_with_later_times(tmp_path):
     assert sum(map(len, packets)) == loop.events(seconds) == 4200 * 40
 
 
-def test_marks_come_before_their_packets(tmp_path):
-    write_loop(tmp_path / "bag", looped(3, 40), 3 * FRAME / 1e9, 0.1)
+@pytest.mark.parametrize(("pace", "per_frame", "every"), [(1, 1, 1), (5, 1, 5), (1, 4, 4)])
+def test_a_mark_comes_before_a_packet_every_4_ms_of_the_replay(tmp_path, pace, per_frame, every):
+    loop = looped(5, 40, per_frame=per_frame)
+    write_loop(tmp_path / "bag", loop, 10 * FRAME / 1e9, pace)
     with open_bag(tmp_path / "bag") as bag:
         order = [(c.topic, t - START) for c, t, _ in bag.messages() if c.topic in (EVENTS, MARKS)]
-    ends = (FRAME, 2 * FRAME, 3 * FRAME)
-    assert order == [(topic, end) for end in ends for topic in (MARKS, EVENTS)]
+    ends = [FRAME * (k + 1) // per_frame for k in range(10 * per_frame)]
+    expected = []
+    for k, end in enumerate(ends):
+        if k % every == 0:
+            expected.append((MARKS, end))
+        expected.append((EVENTS, end))
+    assert order == expected
 
 
 def test_loop_counts_the_windows_that_its_events_give():
