@@ -72,6 +72,53 @@ def along_lines(
 
 
 @_compiled
+def best_motion(
+    flow: F64, evidence: F64, a: F64, b: F64, start: F64, soft: float, inlier: float,
+    reweightings: int,
+) -> tuple[F64, F64, F64]:  # fmt: skip
+    """Fit a constant motion to a flow: robust least squares in the DEC.
+
+    Args:
+        flow: (nodes, 2) px per window.
+        evidence: (nodes, 2, 2) inverse covariance of the flow; zero where it does not count.
+        start: (3,) unit v to begin with, and w = 0.
+        inlier: px per window, of the Geman-McClure weights.
+        reweightings: least squares solutions.
+        a, b, soft: as in `across_lines`.
+
+    Returns:
+        w (3,), v (3,) unit, and the information (6, 6) on both; v's length counts as known.
+    """
+    nodes = len(flow)
+    r, normal, rows = np.empty((nodes, 1)), np.empty((nodes, 1, 2)), np.empty((nodes, 1, 7))
+    once = np.expand_dims(flow, 1)
+    w, v, matrix = np.zeros((1, 3)), start.copy().reshape(1, 3), np.eye(6)
+    for _ in range(reweightings):
+        across_lines(once, a, b, w, v, soft, r, normal, rows)
+        matrix, vector = np.zeros((6, 6)), np.zeros(6)
+        for n in range(nodes):
+            weight = _square(normal[n, 0, 0], normal[n, 0, 1], evidence[n])
+            weight /= (1 + (r[n, 0] / inlier) ** 2) ** 2
+            for i in range(6):
+                weighted = weight * rows[n, 0, i]
+                vector[i] -= weighted * r[n, 0]
+                for j in range(6):
+                    matrix[i, j] += weighted * rows[n, 0, j]
+        length = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
+        for i in range(3):
+            for j in range(3):
+                matrix[3 + i, 3 + j] += length * v[0, i] * v[0, j]  # nobody knows v's length
+        extent = 1e-9 * np.trace(matrix) + 1e-12
+        for i in range(6):
+            matrix[i, i] += extent
+        step = np.linalg.solve(matrix, vector)
+        w[0] += step[:3]
+        v[0] += step[3:]
+        v[0] /= np.sqrt(v[0] @ v[0])
+    return w[0], v[0], matrix
+
+
+@_compiled
 def _split(
     flow: F64, a: F64, b: F64, turn: F64, heading: F64, soft: float
 ) -> tuple[float, float, float, float, float]:

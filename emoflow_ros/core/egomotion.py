@@ -58,11 +58,6 @@ class Residuals:
     by_flow: Array
     by_motion: Array
 
-    @property
-    def constant_motion(self) -> Array:
-        """Derivatives (nodes, 6) at the first time by a motion (w, v) that does not change."""
-        return self.by_motion[:, 0, :-1]
-
     @classmethod
     def empty(cls, nodes: int, times: int) -> "Residuals":
         """Make room for them."""
@@ -150,24 +145,15 @@ class NodeEpipolar:
         """
         residuals = Residuals.empty(*flow.shape[:2])
         constraints.across_lines(
-            flow, self.a, self.b, self._basis @ motion.w, self._basis @ motion.v, self.soft,
-            residuals.r, residuals.by_flow, residuals.by_motion,
-        )  # fmt: skip
+            *self.linearised_at(flow, motion), residuals.r, residuals.by_flow, residuals.by_motion
+        )
         return residuals
 
-    def structure_residuals(self, flow: Array, motion: Motion, inverse_depth: Array) -> Residuals:
-        """Evaluate and linearise the flow along the epipolar lines against a known depth.
-
-        Args:
-            flow, motion: as in `residuals`.
-            inverse_depth: (nodes,), see `belief.Structure`.
-        """
-        residuals = Residuals.empty(*flow.shape[:2])
-        constraints.along_lines(
-            flow, self.a, self.b, self._basis @ motion.w, self._basis @ motion.v, self.soft,
-            motion.speed, inverse_depth, residuals.r, residuals.by_flow, residuals.by_motion,
-        )  # fmt: skip
-        return residuals
+    def linearised_at(
+        self, flow: Array, motion: Motion
+    ) -> tuple[Array, Array, Array, Array, Array, float]:
+        """Return flow, a, b, w and v at each time, and `soft`, as core.constraints takes them."""
+        return flow, self.a, self.b, self._basis @ motion.w, self._basis @ motion.v, self.soft
 
     def rotational_flow(self, motion: Motion) -> Array:
         """Flow of the motion's rotation, (nodes, times, 2) px per window."""
@@ -233,21 +219,11 @@ class NodeEpipolar:
             w (3,) rad per window, v (3,) unit, and the information (6, 6) on both; v's length,
             which nobody knows, counts as known.
         """
-        all_times = np.repeat(flow[:, None], len(self._basis), axis=1)
-        w, matrix = np.zeros(3), np.eye(6)
-        for _ in range(_REWEIGHTINGS):
-            residuals = self.residuals(all_times, Motion.constant(w, v))
-            r, normal = residuals.r[:, :1], residuals.by_flow[:, 0]
-            rows = residuals.constant_motion
-            evidence = ((normal[:, None] @ information)[:, 0] * normal).sum(-1, keepdims=True)
-            weighted = evidence * self.robust_weight(r) * rows
-            matrix = weighted.T @ rows
-            matrix[3:, 3:] += np.trace(matrix[3:, 3:]) * np.outer(v, v)  # its length is unknown
-            matrix += (1e-9 * np.trace(matrix) + 1e-12) * np.eye(6)
-            step = -np.linalg.solve(matrix, weighted.T @ r)[:, 0]
-            w, v = w + step[:3], v + step[3:]
-            v = v / np.linalg.norm(v)
-        return w, v, matrix
+        found: tuple[Array, Array, Array] = constraints.best_motion(
+            flow, self._counted(information), self.a, self.b, v, self.soft, self.inlier_px,
+            _REWEIGHTINGS,
+        )  # fmt: skip
+        return found
 
     def turning(self, flow: Array, information: Array, v: Array) -> float:
         """Measure by Wald's statistic whether the camera turns at all.

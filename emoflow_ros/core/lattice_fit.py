@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.belief import INFORMATION_EXCESS, KnownRotation, MotionPrior, Structure
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis
 from emoflow_ros.core.contrast import Contrast, ContrastFactory
+from emoflow_ros.core.coupling import add_constraint, add_structure
 from emoflow_ros.core.egomotion import (
     BY_POINTS,
     MOTION_UNKNOWNS,
@@ -29,7 +30,6 @@ SCALES = (0.25, 0.5, 1.0)
 _ROTATION_STIFFNESS = 10.0  # times dec_weight: a rotation leaves the flow no freedom of its own
 _STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does not turn may have
 _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
-_STRUCTURE_INLIER_PX = 1.0
 
 # w and v in the middle of the window from the motion's unknowns, (6, 25).
 _TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
@@ -177,16 +177,19 @@ class LatticeFit:
 
     def step_coupled(self, prior: MotionPrior | None) -> None:
         """Step flow and egomotion together, tied by the epipolar constraint."""
-        motion = self._require_motion()
-        dec = self.epipolar.residuals(self.node_flow, motion)
-        terms = [
-            (dec, self.config.dec_weight * self.epipolar.robust_weight(dec.r)),
-            self._front_term(motion),
-        ]
+        motion, epipolar = self._require_motion(), self.epipolar
+        at = epipolar.linearised_at(self.node_flow, motion)
+        add_constraint(
+            *at, epipolar.usable, epipolar.inlier_px, self.config.dec_weight, self.front,
+            *self._equations.parts,
+        )  # fmt: skip
         if self.structure is not None:
-            terms.append(self._structure_term(motion, self.structure))
-        for residuals, weight in terms:
-            self._equations.add_rows(residuals.by_flow, residuals.by_motion, weight, residuals.r)
+            share = _STRUCTURE_TRUST * INFORMATION_EXCESS / self.lattice.times
+            known = self.structure.inverse_depth, self.structure.information
+            add_structure(
+                *at, epipolar.usable, motion.at(0.5)[1], motion.speed, *known, share,
+                *self._equations.parts,
+            )  # fmt: skip
         corner, corner_vector = self._equations.corner_of(BY_POINTS)
         self._add_motion_priors(motion, prior, corner, corner_vector)
         step, change = self._equations.solve_bordered(corner, corner_vector, BY_POINTS)
@@ -206,25 +209,6 @@ class LatticeFit:
     def _of_no_turn(self) -> float:
         """Information on each component of w, rad per window, of a camera that does not turn."""
         return (self.epipolar.px_per_rad / _STRAIGHT_PX) ** 2
-
-    def _front_term(self, motion: Motion) -> tuple[Residuals, Array]:
-        """Flow from behind the camera, against that of an infinite depth, the nearest possible."""
-        infinity = np.zeros(len(self.epipolar.usable))
-        residuals = self.epipolar.structure_residuals(self.node_flow, motion, infinity)
-        behind = self.front * residuals.r < 0
-        weight = self.config.dec_weight * self.epipolar.robust_weight(residuals.r)
-        return residuals, behind * weight
-
-    def _structure_term(self, motion: Motion, structure: Structure) -> tuple[Residuals, Array]:
-        residuals = self.epipolar.structure_residuals(
-            self.node_flow, motion, structure.inverse_depth
-        )
-        v = motion.at(0.5)[1]
-        squared = ((self.epipolar.a @ v) ** 2).sum(-1) + self.epipolar.soft**2
-        variance = (squared / structure.information)[:, None]
-        share = _STRUCTURE_TRUST * INFORMATION_EXCESS / self.lattice.times
-        outlier = residuals.r**2 / (9 * variance + _STRUCTURE_INLIER_PX**2)
-        return residuals, self.epipolar.usable[:, None] * share / variance / (1 + outlier) ** 2
 
     @property
     def _rotation_stiffness(self) -> float:

@@ -60,9 +60,13 @@ class NormalEquations:
         values = flow.reshape(-1, lattice.times, 2).astype(np.float64)
         _set_up(
             *cells, values, lattice.second_differences, each * _RIDGE, each * config.smoothness,
-            config.edge_px, config.smoothness_in_time,
-            self.vector, self.band, self.border, self.corner, self.corner_vector,
+            config.edge_px, config.smoothness_in_time, *self.parts,
         )  # fmt: skip
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array, Array, Array]:
+        """All attributes, as `add_rows` and core.coupling take them."""
+        return self.vector, self.band, self.border, self.corner, self.corner_vector
 
     def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
         """Add weighted squares of residuals that each concern one node at one time.
@@ -73,10 +77,7 @@ class NormalEquations:
                 and by the one that all times share.
             weight, r: (nodes, times).
         """
-        add_rows(
-            normal, by_further, weight, r,
-            self.vector, self.band, self.border, self.corner, self.corner_vector,
-        )  # fmt: skip
+        add_rows(normal, by_further, weight, r, *self.parts)
 
     def solve(self) -> Array:
         """Return the step (n,) to the minimum.

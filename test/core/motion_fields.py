@@ -3,6 +3,8 @@
 import numpy as np
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.constraints import along_lines
+from emoflow_ros.core.egomotion import Residuals
 from emoflow_ros.core.lattice import Lattice
 
 LENSES = {
@@ -33,6 +35,16 @@ def random_motions(seed):
 
 def motion_field(epipolar, v, w, inverse_depth):
     return inverse_depth[:, None] * (epipolar.a @ v) + epipolar.b @ w
+
+
+def structure_residuals(epipolar, flow, motion, inverse_depth) -> Residuals:
+    """The flow along the epipolar lines against a known depth."""
+    found = Residuals.empty(*flow.shape[:2])
+    along_lines(
+        *epipolar.linearised_at(flow, motion), motion.speed, inverse_depth,
+        found.r, found.by_flow, found.by_motion,
+    )  # fmt: skip
+    return found
 
 
 def with_outliers(flow, rng):

@@ -7,6 +7,7 @@ from motion_fields import (
     camera_with,
     motion_field,
     random_motions,
+    structure_residuals,
 )
 
 from emoflow_ros.core.camera import Camera
@@ -64,7 +65,7 @@ def test_derivatives_of_the_residuals(epipolar, kind):
     def residuals(flow, motion):
         if kind == "across":
             return epipolar.residuals(flow, motion)
-        return epipolar.structure_residuals(flow, motion, inverse_depth)
+        return structure_residuals(epipolar, flow, motion, inverse_depth)
 
     linearised = residuals(flow, motion)
     h = 1e-6
@@ -93,7 +94,7 @@ def test_structure_residuals_vanish_for_the_true_depth_and_speed(epipolar):
         motion = Motion.constant(w, v)
         motion = Motion(motion.w, motion.v, 1.6)
         moved = np.repeat(flow[:, None], LATTICE.times, 1)
-        r = epipolar.structure_residuals(moved, motion, inverse_depth / 1.6).r
+        r = structure_residuals(epipolar, moved, motion, inverse_depth / 1.6).r
         # Near the focus of expansion the line's norm is softened: by at most `soft`.
         assert np.abs(r).max() < epipolar.soft * inverse_depth.max()
         assert np.median(np.abs(r)) < 1e-4

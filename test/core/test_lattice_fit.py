@@ -30,24 +30,6 @@ def fit() -> LatticeFit:
     return made
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_flow_from_behind_the_camera_is_drawn_to_none(fit, sign):
-    """Whichever sign v has in the fit: `front` says along which one the camera moves."""
-    fit.front = sign
-    residuals, weight = fit._front_term(Motion.constant(np.zeros(3), sign * V))
-    length = np.linalg.norm(fit.node_flow, axis=-1)
-    turned = np.arange(NODES) % 10 == 0
-    assert not weight[~turned].any()
-    np.testing.assert_allclose(np.abs(residuals.r), length, rtol=1e-3)
-    inlier = fit.config.dec_inlier_px
-    expected = fit.config.dec_weight / (1 + (length[turned] / inlier) ** 2) ** 2
-    np.testing.assert_allclose(weight[turned], expected, rtol=1e-3)
-
-
-def test_without_a_known_side_nothing_is_behind(fit):
-    assert not fit._front_term(fit.motion)[1].any()
-
-
 @pytest.mark.parametrize(
     ("begin_ms", "length_ms", "turned"),
     [
