@@ -205,7 +205,7 @@ def write_loop(
     """Write a bag for a replay at this pace: packets, calibration, and marks.
 
     A mark stands before a packet, with the packet's end. There is one in about 4 ms of the replay:
-    one for each packet would take as much of the processor as a third of the node.
+    one for each packet would take 0.3 of a core at a pace of 10.
 
     Args:
         path: does not exist yet.

@@ -171,9 +171,10 @@ def _twist_figures(observed: Observed, begin: float, end: float) -> dict[str, An
 def ages_ms(marks: Sequence[tuple[int, float]], twists: Iterable[tuple[int, float]]) -> list[float]:
     """Return how old the information of each twist was when it was published, ms.
 
-    That is the time since its stamp. The recording's time maps to the clock by the packets: the
-    end of each is the time at which `replay` published it, and between two ends time passes
-    evenly. At other paces than 1 this is what the clock shows, too, not the recording's time.
+    That is the time since its stamp. The recording's time maps to the clock by the marks, about one
+    in 4 ms of the clock: `replay` published each at the time that it names, and between two marks
+    time passes evenly. At other paces than 1 this is what the clock shows, too, not the
+    recording's time.
 
     Args:
         marks: see Observed.

@@ -23,7 +23,6 @@ from emoflow_ros.core.smoothing import outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents
 
 _ROUNDING = 1e-6  # a contrast below this share of another one is float32's rounding of zero
-PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 # Pixels of an image of warped events per pixel of the working image, at full resolution. With 1
 # events that have not moved lie exactly upon each other, and look sharper than they are.
 SAMPLING = 0.6
@@ -95,7 +94,7 @@ class Contrast:
         _load_kernels()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Leave the buffers out: they hold nothing from one call to the next."""
+        """Leave the buffers out, with the image that was drawn last, and load the kernels again."""
         return Contrast, (self.lattice, self.scale)
 
     def sharpen(self, events: WindowEvents, flow: F32) -> float:

@@ -14,11 +14,11 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from emoflow_ros.core.cells import PAIR, PAIRS_OF_NODES, Cells
-from emoflow_ros.core.contrast import PAIRS, SAMPLING, TAPS
+from emoflow_ros.core.contrast import SAMPLING, TAPS
 from emoflow_ros.core.device_events import DeviceEvents, host_buffer
 from emoflow_ros.core.kernels import MARGIN
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.window_events import PARTS, WindowEvents
+from emoflow_ros.core.window_events import PAIRS, PARTS, WindowEvents
 
 _WARM_UPS = 3  # before the capture, as torch asks for
 

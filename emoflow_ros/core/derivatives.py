@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.kernels import MARGIN, fast, vote, warp_along, whole, without_own
 from emoflow_ros.core.smoothing import Taps, smooth
-from emoflow_ros.core.window_events import CellEvents
+from emoflow_ros.core.window_events import PAIRS, CellEvents
 
 F32 = NDArray[np.float32]
 
@@ -31,14 +31,13 @@ def linearise(
         images: (parts, h, w), written: what the other parts draw.
         gradient, curvature: of Cells, written.
     """
-    pairs = len(images) / (len(images) - 1)  # all pairs of events over those of different parts
-    slope = zoom * zoom * pairs
+    slope = zoom * zoom * PAIRS
     position = warp_along(events, ref, flow, per_px)
     vote(position, events.weights, events.part, zoom, images)
     smooth(images, taps)
     without_own(images)
     pull(events, ref, position, images, zoom, slope, gradient)
-    stiffen(events, ref, position, images, zoom, stride, slope * pairs, curvature)
+    stiffen(events, ref, position, images, zoom, stride, slope * PAIRS, curvature)
 
 
 @fast

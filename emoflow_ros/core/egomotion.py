@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core import constraints
+from emoflow_ros.core import constraints, rotations
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis, motion_matrices
 from emoflow_ros.core.lattice import Lattice
@@ -145,11 +145,14 @@ class NodeEpipolar:
         """
         residuals = Residuals.empty(*flow.shape[:2])
         constraints.across_lines(
-            *self.linearised_at(flow, motion), residuals.r, residuals.by_flow, residuals.by_motion
+            *self.kernel_arguments(flow, motion),
+            residuals.r,
+            residuals.by_flow,
+            residuals.by_motion,
         )
         return residuals
 
-    def linearised_at(
+    def kernel_arguments(
         self, flow: Array, motion: Motion
     ) -> tuple[Array, Array, Array, Array, Array, float]:
         """Return flow, a, b, w and v at each time, and `soft`, as core.constraints takes them."""
@@ -198,11 +201,11 @@ class NodeEpipolar:
         self, flow: Array, information: Array, known: Rotation = _UNKNOWN, *, sized: bool = True
     ) -> Explanations:
         """Explain a flow by the pure rotation that leaves least of it, as `search`."""
-        w, residual = constraints.best_rotation(
+        w, residual = rotations.best_rotation(
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
             2 * _REWEIGHTINGS, *known,
         )  # fmt: skip
-        size = _TURNS * constraints.size_of_turn(w, self.px_per_rad) if sized else 0.0
+        size = _TURNS * rotations.size_of_turn(w, self.px_per_rad) if sized else 0.0
         return Explanations(np.zeros((1, 3)), w[None], np.array([residual]), np.array([size]))
 
     def _counted(self, information: Array) -> Array:
@@ -250,7 +253,7 @@ class NodeEpipolar:
         flow, information, known = evidence
         depths, turns = (_DEPTHS, _TURNS) if sized else (0.0, 0.0)
         found = Explanations(v, np.empty((len(v), 3)), np.empty(len(v)), np.empty(len(v)))
-        constraints.best_rotations(
+        rotations.best_rotations(
             lines, self.soft, self.b, flow, self._counted(information), self.inlier_px,
             _REWEIGHTINGS, *known, depths, turns, self.px_per_rad,
             found.w, found.residual, found.size,

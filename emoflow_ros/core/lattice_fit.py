@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS, KnownRotation, MotionPrior, Structure
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis
+from emoflow_ros.core.constraints import add_constraint, add_structure
 from emoflow_ros.core.contrast import Contrast, ContrastFactory
-from emoflow_ros.core.coupling import add_constraint, add_structure
 from emoflow_ros.core.egomotion import (
     BY_POINTS,
     MOTION_UNKNOWNS,
@@ -178,7 +178,7 @@ class LatticeFit:
     def step_coupled(self, prior: MotionPrior | None) -> None:
         """Step flow and egomotion together, tied by the epipolar constraint."""
         motion, epipolar = self._require_motion(), self.epipolar
-        at = epipolar.linearised_at(self.node_flow, motion)
+        at = epipolar.kernel_arguments(self.node_flow, motion)
         add_constraint(
             *at, epipolar.usable, epipolar.inlier_px, self.config.dec_weight, self.front,
             *self._equations.parts,

@@ -65,7 +65,7 @@ class NormalEquations:
 
     @property
     def parts(self) -> tuple[Array, Array, Array, Array, Array]:
-        """All attributes, as `add_rows` and core.coupling take them."""
+        """Vector, band, border, corner and corner_vector, as core.constraints takes them."""
         return self.vector, self.band, self.border, self.corner, self.corner_vector
 
     def add_rows(self, normal: Array, by_further: Array, weight: Array, r: Array) -> None:
@@ -218,7 +218,7 @@ def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) ->
                 band[j, 2] -= weight
 
 
-@_compiled
+@numba.njit(cache=True, nogil=True, inline="always")  # why: see core.constraints
 def add_rows(
     normal: F64, by_further: F64, weight: F64, r: F64,
     vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,

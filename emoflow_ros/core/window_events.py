@@ -11,6 +11,7 @@ from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 
 PARTS = 4  # parts of the window whose images are compared
+PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 
 _DENSITY_CELL = 4  # side of the cells in which density is counted, px
 _DENSITY_TAPS = outwards(gaussian(2.0))  # the density's smoothing, in these cells

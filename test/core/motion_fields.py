@@ -41,7 +41,7 @@ def structure_residuals(epipolar, flow, motion, inverse_depth) -> Residuals:
     """The flow along the epipolar lines against a known depth."""
     found = Residuals.empty(*flow.shape[:2])
     along_lines(
-        *epipolar.linearised_at(flow, motion), motion.speed, inverse_depth,
+        *epipolar.kernel_arguments(flow, motion), motion.speed, inverse_depth,
         found.r, found.by_flow, found.by_motion,
     )  # fmt: skip
     return found

@@ -6,10 +6,10 @@ import torch
 
 from emoflow_ros.core import kernels
 from emoflow_ros.core.cells import add_cells
-from emoflow_ros.core.contrast import PAIRS, SAMPLING, TAPS, Contrast, best_constant_flow
+from emoflow_ros.core.contrast import SAMPLING, TAPS, Contrast, best_constant_flow
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.normal_equations import NormalEquations
-from emoflow_ros.core.window_events import PARTS, WindowEvents
+from emoflow_ros.core.window_events import PAIRS, PARTS, WindowEvents
 
 LATTICE = Lattice(120, 90, 5, 4, 2)
 SCALES = (0.25, 0.5, 1.0)

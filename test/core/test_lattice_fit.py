@@ -1,15 +1,17 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.belief import Belief
+from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, Structure
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import GREVILLE
 from emoflow_ros.core.config import load_config
-from emoflow_ros.core.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.constraints import add_constraint, add_structure
+from emoflow_ros.core.egomotion import BY_POINTS, MOTION_UNKNOWNS, Motion, NodeEpipolar
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_fit import LatticeFit
 from emoflow_ros.core.memory import Memory
+from emoflow_ros.core.normal_equations import NormalEquations
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
@@ -28,6 +30,34 @@ def fit() -> LatticeFit:
     made.flow = np.repeat(flow[:, None], LATTICE.times, 1).reshape(LATTICE.shape).astype(np.float32)
     made.motion = Motion.constant(np.zeros(3), V)
     return made
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_coupled_step_solves_for_the_constraint_and_the_known_depths(fit, monkeypatch, known):
+    fit.front = 1.0
+    if known:
+        fit.structure = Structure(np.full(NODES, 0.04), np.linspace(0, 40, NODES))
+    epipolar, config, motion = fit.epipolar, fit.config, fit.motion
+    expected = NormalEquations(LATTICE, len(BY_POINTS))
+    at = epipolar.kernel_arguments(fit.node_flow, motion)
+    add_constraint(
+        *at, epipolar.usable, config.dec_inlier_px, config.dec_weight, 1.0, *expected.parts
+    )
+    if known:
+        add_structure(
+            *at, epipolar.usable, V, 1.0, np.full(NODES, 0.04), np.linspace(0, 40, NODES),
+            0.3 * INFORMATION_EXCESS / LATTICE.times, *expected.parts,
+        )  # fmt: skip
+    seen = []
+
+    def solve(self, *_):
+        seen.extend(part.copy() for part in self.parts)
+        return np.zeros(LATTICE.unknowns), np.zeros(MOTION_UNKNOWNS)
+
+    monkeypatch.setattr(NormalEquations, "solve_bordered", solve)
+    fit.step_coupled(None)
+    for one, other in zip(seen, expected.parts, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize(
