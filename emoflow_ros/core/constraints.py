@@ -94,7 +94,7 @@ def add_constraint(
     Such flow is held against that of an infinite depth, the nearest possible one.
 
     Args:
-        flow, a, b, w, v, soft: as `constraints.across_lines` takes them.
+        flow, a, b, w, v, soft: as in `across_lines`.
         usable: (nodes,) which nodes count.
         inlier: residual, px per window, at which the weight is a quarter.
         stiffness: weight of a residual of 0.
@@ -131,7 +131,7 @@ def add_structure(
 
     Args:
         heading: (3,) v in the middle of the window.
-        speed: as `constraints.along_lines` takes it.
+        speed: as in `along_lines`.
         inverse_depth, information: (nodes,) of belief.Structure.
         share: of that information which counts at each time.
         flow, a, b, w, v, soft, usable: as in `add_constraint`.
