@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from emoflow_ros.core.banded import BandFactor, NotPositiveDefiniteError, solve_banded
+from emoflow_ros.core.banded import (
+    NotPositiveDefiniteError,
+    eliminate,
+    solve_banded,
+    substitute_back,
+)
 from emoflow_ros.core.cells import Cells, add_cells, add_still_cells
 from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -113,19 +118,18 @@ class NormalEquations:
         Raises:
             NotPositiveDefiniteError: there is no minimum.
         """
-        factor = BandFactor(self.band)
-        both = np.empty((len(self.vector), 1 + len(self.corner)), order="F")
-        both[:, 0], both[:, 1:] = self.vector, self.border
-        factor.forward(both)
-        of_field, across = both[:, 0], both[:, 1:]
-        products = across.T @ both
+        factor, both = self.band.copy(), np.empty((1 + len(self.corner), len(self.vector)))
+        both[0], both[1:] = self.vector, self.border.T
+        eliminate(factor, both)
+        of_field, across = both[0], both[1:]
+        products = across @ both.T
         marginal = corner - by_other.T @ products[:, 1:] @ by_other
         _, others, info = dposv(marginal, corner_vector - by_other.T @ products[:, 0])
-        left = (of_field - across @ (by_other @ others))[:, None]
-        factor.backward(left)
+        left = of_field - (by_other @ others) @ across
+        substitute_back(factor, left)
         if info != 0 or not np.isfinite(left).all():
             raise NotPositiveDefiniteError
-        return left[:, 0], others
+        return left, others
 
 
 @_compiled
