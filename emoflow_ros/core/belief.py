@@ -192,8 +192,9 @@ class Structure:
         error = (drift * self.inverse_depth) ** 2 + _FLOW_ERROR_PX**2 / squared
         certainty = 1 / (1 / np.maximum(self.information, 1e-9) + error)
         source = lattice.pixels - windows * flow
-        known = lattice.interpolate(certainty, source)
-        inverse_depth = lattice.interpolate(certainty * self.inverse_depth, source) / known
+        certain = np.stack([certainty, certainty * self.inverse_depth], axis=-1)
+        known, inverse_depth = lattice.interpolate(certain, source).T
+        inverse_depth = inverse_depth / known
         # A scene that comes closer grows: Z' = Z - v_z.
         approach = np.clip(windows * inverse_depth * v[2], -_MAX_APPROACH, _MAX_APPROACH)
         inside = ((source >= 0) & (source <= lattice.pixels[-1])).all(axis=-1)

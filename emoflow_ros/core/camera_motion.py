@@ -27,11 +27,11 @@ def motion_matrices(bearings: Array) -> tuple[Array, Array]:
         A and B, (..., 2, 3) each.
     """
     x, y = bearings[..., 0], bearings[..., 1]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    a = np.stack([np.stack([-one, zero, x], -1), np.stack([zero, -one, y], -1)], -2)
-    b = np.stack(
-        [np.stack([x * y, -(1 + x * x), y], -1), np.stack([1 + y * y, -x * y, -x], -1)], -2
-    )
+    a, b = np.zeros((2, *x.shape, 2, 3))
+    a[..., 0, 0] = a[..., 1, 1] = -1.0
+    a[..., 2] = bearings
+    b[..., 0, 0], b[..., 0, 1], b[..., 0, 2] = x * y, -(1 + x * x), y
+    b[..., 1, 0], b[..., 1, 1], b[..., 1, 2] = 1 + y * y, -x * y, -x
     return a, b
 
 
@@ -70,15 +70,17 @@ def cheirality(bearings: Array, flow: Array, v: Array, w: Array, weights: Array)
         translational flow that agrees minus the share that contradicts.
     """
     a, b = motion_matrices(bearings)
-    along = np.einsum("ni,ni->n", flow - _apply(b, w), _apply(a, v))
-    along /= np.linalg.norm(_apply(a, v), axis=-1) + 1e-12
-    total = np.sum(weights * np.abs(along))
-    return float(np.sum(weights * along) / total) if total > 0 else 0.0
+    line = _apply(a, v)
+    along = ((flow - _apply(b, w)) * line).sum(axis=-1)
+    along /= np.sqrt((line**2).sum(axis=-1)) + 1e-12
+    total = weights @ np.abs(along)
+    return float(weights @ along / total) if total > 0 else 0.0
 
 
 def _apply(matrix: Array, vector: Array) -> Array:
     """Multiply (N, 2, 3) by (3,) or (N, 3)."""
-    return np.einsum("nij,nj->ni", matrix, np.broadcast_to(vector, (len(matrix), 3)))
+    product: Array = (matrix @ vector[..., None])[..., 0]
+    return product
 
 
 def basis(s: ArrayLike) -> NDArray[np.float64]:

@@ -44,9 +44,7 @@ class Cells(NamedTuple):
 
     def of_common_shift(self) -> tuple[F64, F64]:
         """Gradient (2,) and curvature (2, 2) by a flow that all nodes share."""
-        force = self.gradient.sum(axis=(0, 1, 3), dtype=np.float64)
-        xx, xy, yy = _TIMES_EACH @ self.curvature.sum(axis=(0, 1), dtype=np.float64)
-        return force, np.array([[xx, xy], [xy, yy]])
+        return _of_common_shift(self.gradient, self.curvature)
 
     def project(self, by_unknown: F64) -> tuple[F64, F64]:
         """Gradient (m,) and curvature (m, m) by the unknowns of a flow constant over the window.
@@ -123,6 +121,23 @@ def _node_information(curvature: F32) -> F64:
                     node[1, 0] += xy
                     node[1, 1] += yy
     return result
+
+
+@_compiled
+def _of_common_shift(gradient: F32, curvature: F32) -> tuple[F64, F64]:
+    force, total = np.zeros(2), np.zeros((2, 2))
+    for c in range(gradient.shape[0]):
+        for r in range(gradient.shape[1]):
+            for d in range(2):
+                for a in range(8):
+                    force[d] += gradient[c, r, d, a]
+            for pair in range(PAIRS_OF_NODES):
+                cell = curvature[c, r, pair]
+                total[0, 0] += _TIMES_EACH[pair] * cell[0]
+                total[0, 1] += _TIMES_EACH[pair] * cell[1]
+                total[1, 1] += _TIMES_EACH[pair] * cell[2]
+    total[1, 0] = total[0, 1]
+    return force, total
 
 
 @_compiled

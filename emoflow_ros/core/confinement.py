@@ -59,8 +59,10 @@ def spot(lattice: Lattice, evidence: Array) -> tuple[Array, Array]:
     size = np.array([lattice.width, lattice.height], np.float64)
     if min(lattice.columns, lattice.rows) < _FEWEST_NODES or not weights.any():
         return size / 2, np.diag(size**2) / 12
-    middle: Array = weights @ lattice.pixels / weights.sum()
-    return middle, np.cov(lattice.pixels.T, aweights=weights, bias=True)
+    weights = weights / weights.sum()
+    middle: Array = weights @ lattice.pixels
+    away = lattice.pixels - middle
+    return middle, (weights * away.T) @ away
 
 
 def spread(lattice: Lattice, covariance: Array) -> float:

@@ -177,9 +177,15 @@ def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: flo
     step = 2.0 / contrast.scale
     best, most = np.zeros(2, np.float32), int(reach / step)
     while True:
-        steps = np.arange(-most, most + 1, dtype=np.float32) * np.float32(step)
-        flows = best + np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+        flows = best + np.float32(step) * _around(most)
         best = flows[contrast.scores(events, flows).argmax()]
         if step <= 1.0:
             return best
         step, most = step / 2, 1
+
+
+@cache
+def _around(most: int) -> F32:
+    """Places (n, 2) of a square grid, up to `most` from its middle; the array is shared."""
+    steps = np.arange(-most, most + 1, dtype=np.float32)
+    return np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)

@@ -130,10 +130,13 @@ def stiffen(
     """
     _, h, w = potentials.shape
     values, (cells_x, cells_y) = potentials.ravel(), curvature.shape[:2]
-    two, half, quarter = np.float32(2), np.float32(0.5), np.float32(0.25)
+    one, two, nothing, least = np.float32(1), np.float32(2), np.float32(0), np.float32(1e-20)
+    half, quarter = np.float32(0.5), np.float32(0.25)
     shift = np.float32(MARGIN + 0.5 * zoom - 0.5)
     per_px, middle, share = np.float32(zoom), np.float32(ref), np.float32(factor * stride)
-    right, down = np.uint64(1), np.uint64(w)
+    last_x, last_y = np.float32(w - 2), np.float32(h - 2)
+    below, size = np.int32(w), np.int32(h * w)
+    right, down = np.uint32(1), np.uint32(w)
     most = -(-len(events.s) // stride)
     xx, xy, yy = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
     fx, fy, ft = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
@@ -141,19 +144,19 @@ def stiffen(
         # Sorted by time: in each cell another one comes first, so that no time counts more.
         first, end = events.begin[cell] + cell % stride, events.begin[cell + 1]
         number = max(0, -(-(end - first) // stride))
+        chosen = slice(first, end, stride)
+        s, weights, part = events.s[chosen], events.weights[chosen], events.part[chosen]
+        x, y = position[0, chosen], position[1, chosen]
+        to_right, to_bottom = events.right[chosen], events.down[chosen]
         for n in range(number):
-            k = first + n * stride
-            fx[n], fy[n] = events.right[k], events.down[k]
-            ft[n] = half * (events.s[k] + middle)
-            px = position[0, k] * per_px + shift
-            py = position[1, k] * per_px + shift
-            xx[n] = xy[n] = yy[n] = np.float32(0)
-            if not (px >= 1 and py >= 1 and px < w - 2 and py < h - 2):
-                continue
-            dt = (middle - events.s[k]) * per_px
-            lever = events.weights[k] * dt * dt * share
+            fx[n], fy[n], ft[n] = to_right[n], to_bottom[n], half * (s[n] + middle)
+            px, py = x[n] * per_px + shift, y[n] * per_px + shift
+            inside = (px >= one) & (py >= one) & (px < last_x) & (py < last_y)
+            px, py = px if inside else one, py if inside else one
+            dt = (middle - s[n]) * per_px
+            lever = weights[n] * dt * dt * share if inside else nothing
             i, j = np.int32(py + half), np.int32(px + half)
-            at = np.uint64((events.part[k] * h + i) * w + j)
+            at = np.uint32(part[n] * size + i * below + j)
             twice = two * values[at]
             a = lever * (twice - values[at - right] - values[at + right])
             c = lever * (twice - values[at - down] - values[at + down])
@@ -165,10 +168,12 @@ def stiffen(
             )
             mean, skew = half * (a + c), half * (a - c)
             root = np.sqrt(skew * skew + b * b)
-            if mean < root:  # one eigenvalue, or both, below zero
-                keep = half * max(mean + root, np.float32(0)) / max(root, np.float32(1e-20))
-                a, b, c = keep * (root + skew), keep * b, keep * (root - skew)
-            xx[n], xy[n], yy[n] = a, b, c
+            cut = mean < root  # one eigenvalue, or both, below zero
+            larger = mean + root if mean + root > nothing else nothing
+            keep = half * larger / (root if root > least else least)
+            xx[n] = keep * (root + skew) if cut else a
+            xy[n] = keep * b if cut else b
+            yy[n] = keep * (root - skew) if cut else c
         products = curvature[cell // cells_y, cell % cells_y]
         _sum_products(xx[:number], xy[:number], yy[:number], fx, fy, ft, products)
 

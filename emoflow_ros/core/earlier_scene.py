@@ -98,7 +98,9 @@ class KnownScene:
     def field(self, lattice: Lattice, duration: float, change: Array) -> NDArray[np.float32]:
         """Flow (columns, rows, times, 2), px per window of `duration` s, after a change (m,)."""
         still = duration * (self.flow + self.by_motion[..., : len(change)] @ change)
-        return np.repeat(still[:, None], lattice.times, axis=1).reshape(lattice.shape).astype("f4")
+        field = np.empty(lattice.shape, np.float32)
+        field[:] = still.reshape(lattice.columns, lattice.rows, 1, 2)
+        return field
 
 
 def inverse_depths(epipolar: NodeEpipolar, flow: Array, w: Array, v: Array) -> Array:
@@ -137,8 +139,8 @@ def motion_covariance(estimate: Estimate, v: Array) -> Array:
 
 def _least_turn(before: Array, after: Array) -> Array:
     """Rotation (3, 3) by the least angle, under 180 degrees, from one unit vector to another."""
-    x, y, z = np.cross(before, after)
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    both: Array = np.outer(after, before)
+    across = both - both.T  # the cross product with before x after
     turn: Array = np.eye(3) + across + across @ across / max(1e-6, 1 + before @ after)
     return turn
 
@@ -271,10 +273,11 @@ class EarlierScenes:
         rest = rate - _rigid(epipolar, scene, depth)
         now = (t - scene.t_start) / length
         source = lattice.advance(scene.flow, lattice.pixels, now, 0.5)
-        usable = epipolar.usable.astype(np.float64)  # else the lens has no inverse
-        near = np.maximum(lattice.interpolate(usable, source), 1e-3)
-        depth, *rest_xy = (lattice.interpolate(usable * a, source) / near for a in (depth, *rest.T))
-        rest = np.stack(rest_xy, axis=-1)
+        values = np.column_stack([np.ones(len(depth)), depth, rest])
+        values *= epipolar.usable[:, None]  # elsewhere the lens has no inverse
+        values = lattice.interpolate(values, source)
+        values = values[:, 1:] / np.maximum(values[:, :1], 1e-3)
+        depth, rest = values[:, 0], values[:, 1:]
         flow = _rigid(epipolar, scene, depth) + rest
         return KnownScene.at_depths(epipolar, flow, depth)
 

@@ -96,13 +96,14 @@ class Motion:
         """Angular velocity (3,) rad per window and unit direction (3,) at s in [0, 1]."""
         weights = _basis_at(s)
         v = weights @ self.v
-        return weights @ self.w, v / np.linalg.norm(v)
+        return weights @ self.w, v / np.sqrt(v @ v)
 
     def moved(self, step: Array) -> "Motion":
         """Add a step (25,) and bring v back to unit scale."""
         w = self.w + step[:12].reshape(CONTROL_POINTS, 3)
         v = self.v + step[12:24].reshape(CONTROL_POINTS, 3)
-        return Motion(w, v / np.linalg.norm(v.mean(axis=0)), self.speed + float(step[24]))
+        mean = v.sum(axis=0) / CONTROL_POINTS
+        return Motion(w, v / np.sqrt(mean @ mean), self.speed + float(step[24]))
 
 
 class NodeEpipolar:

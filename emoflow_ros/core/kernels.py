@@ -81,9 +81,9 @@ def draw_shifted(
 @fast
 def sum_of_squares(image: F32) -> float:
     """Add up the squares of an image of any shape."""
-    total = np.float32(0)
-    for value in image.ravel():
-        total += value * value
+    total, values = np.float32(0), image.ravel()
+    for k in range(len(values)):
+        total += values[k] * values[k]
     return float(total)
 
 

@@ -7,9 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
-from emoflow_ros.core.lattice_kernels import advance, at_time, material_derivative
+from emoflow_ros.core.lattice_kernels import advance, at_time, bilinear, material_derivative
 
 F32 = NDArray[np.float32]
 
@@ -113,9 +112,13 @@ class Lattice:
     def interpolate(
         self, values: NDArray[np.float64], points: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Interpolate values at the nodes (nodes,) at points (N, 2) px, (N,)."""
-        grid = values.reshape(self.columns, self.rows)
-        return map_coordinates(grid, (points * self.per_px).T, order=1, mode="nearest")
+        """Interpolate values at the nodes (nodes, n) at points (N, 2) px, (N, n).
+
+        Beyond the border they are constant; a point that is not finite gets NaN.
+        """
+        grid = np.ascontiguousarray(values).reshape(self.columns, self.rows, -1)
+        found: NDArray[np.float64] = bilinear(grid, points, self.per_px)
+        return found
 
     def at_time(self, flow: NDArray[np.float32], s: float) -> NDArray[np.float32]:
         """Interpolate a field in time, (columns, rows, 2); constant before 0 and after 1."""

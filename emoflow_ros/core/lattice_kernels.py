@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -73,10 +74,8 @@ def at_time(flow: F32, s: float) -> F32:
 
 
 @numba.njit(cache=True, nogil=True)
-def bilinear(
-    grid: NDArray[np.float32], points: NDArray[np.float64], per_px: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Interpolate a grid (columns, rows, 2) at points (N, 2) px, constant beyond its border.
+def bilinear(grid: F64, points: F64, per_px: F32) -> F64:
+    """Interpolate a grid (columns, rows, n) at points (N, 2) px, constant beyond its border.
 
     Args:
         grid: the values at the nodes.
@@ -84,10 +83,10 @@ def bilinear(
         per_px: cells per pixel in x and y.
 
     Returns:
-        (N, 2).
+        (N, n).
     """
-    columns, rows = grid.shape[:2]
-    out = np.empty((len(points), 2), np.float32)
+    columns, rows, number = grid.shape
+    out = np.empty((len(points), number))
     for i in range(len(points)):
         x, y = points[i, 0] * per_px[0], points[i, 1] * per_px[1]
         if not (np.isfinite(x) and np.isfinite(y)):
@@ -96,11 +95,35 @@ def bilinear(
         x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
         c, r = min(int(x), columns - 2), min(int(y), rows - 2)
         a, b = x - c, y - r
-        for d in range(2):
+        for d in range(number):
             left = (1 - b) * grid[c, r, d] + b * grid[c, r + 1, d]
             right = (1 - b) * grid[c + 1, r, d] + b * grid[c + 1, r + 1, d]
             out[i, d] = (1 - a) * left + a * right
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def length_at(grid: F32, x: F32, y: F32, per_px: F32, share: float) -> float:
+    """Return the length that vectors on a grid (columns, rows, 2) keep to at a share of points.
+
+    Args:
+        grid: the vectors at the nodes, bilinear in between.
+        x, y: (N,) px, on the grid.
+        per_px: cells per pixel in x and y.
+        share: of the points, in [0, 1].
+    """
+    squared = np.empty(len(x))
+    last_column, last_row = grid.shape[0] - 2, grid.shape[1] - 2
+    for i in range(len(x)):
+        at_x, at_y = x[i] * per_px[0], y[i] * per_px[1]
+        c, r = min(int(at_x), last_column), min(int(at_y), last_row)
+        a, b = at_x - c, at_y - r
+        squared[i] = 0.0
+        for d in range(2):
+            left = (1 - b) * grid[c, r, d] + b * grid[c, r + 1, d]
+            right = (1 - b) * grid[c + 1, r, d] + b * grid[c + 1, r + 1, d]
+            squared[i] += ((1 - a) * left + a * right) ** 2
+    return np.quantile(np.sqrt(squared), share)
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)

@@ -12,7 +12,7 @@ from emoflow_ros.core.events import NS_PER_S, Window
 from emoflow_ros.core.lattice_fit import LatticeFit
 
 # Shares of the flow's change in a window that may go on: the events decide.
-_EXTRAPOLATIONS = (0.5, 0.0, 1.0, 1.5)
+_EXTRAPOLATIONS = np.array([0.5, 0.0, 1.0, 1.5], np.float32)
 # A longer gap ends a warm start. Dropped windows are such gaps, and a cold start takes longer.
 _MAX_GAP_S = 0.9
 
@@ -66,8 +66,8 @@ class Memory:
         change = self.flow[:, :, -1:] - self.flow[:, :, :1]
         times = self.flow.shape[2]
         nodes = ((np.linspace(0, 1, times) - 0.5) * ratio + ahead).astype(np.float32)  # in windows
-        slopes = [share * change * nodes[:, None] for share in _EXTRAPOLATIONS]
-        return [((mean + slope) * ratio).astype(np.float32) for slope in slopes]
+        slopes = _EXTRAPOLATIONS[:, None, None, None, None] * change * nodes[:, None]
+        return list((mean + slopes) * np.float32(ratio))
 
     def rotation(self, window: Window) -> NDArray[np.float64]:
         """Angular velocity (3,) of this window, in rad per a later window."""

@@ -6,6 +6,7 @@ A part also has to be short enough for the fit to follow the changes of the moti
 
 from collections.abc import Callable
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -148,10 +149,21 @@ class MotionWindows:
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""
-        length = part.t_end - part.t_start  # by itself: float64 rounds times since 1970 to 256 ns
-        times = [part.t_start + int(t) for t in np.linspace(0, length, _LEGS + 1)]
-        legs = np.diff(flow.tracks(self._grid, times), axis=0)
-        return float(np.quantile(np.linalg.norm(legs, axis=-1).sum(axis=0), _FAST))
+        length = part.t_end - part.t_start
+        times = [part.t_start + leg * length // _LEGS for leg in range(_LEGS + 1)]
+        return _path_length(flow.tracks(self._grid, times), _FAST)
+
+
+@numba.njit(cache=True, nogil=True)
+def _path_length(positions: NDArray[np.float64], share: float) -> float:
+    """Length that a share of the paths through positions (times, N, 2) keeps to."""
+    length = np.zeros(positions.shape[1])
+    for leg in range(len(positions) - 1):
+        for i in range(len(length)):
+            x = positions[leg + 1, i, 0] - positions[leg, i, 0]
+            y = positions[leg + 1, i, 1] - positions[leg, i, 1]
+            length[i] += np.sqrt(x * x + y * y)
+    return float(np.quantile(length, share))
 
 
 class MotionChange:

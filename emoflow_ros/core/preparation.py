@@ -16,8 +16,10 @@ from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.thinning import spread
+from emoflow_ros.core.thinning import spread_places
 from emoflow_ros.core.window_events import WindowEvents
+
+F32 = NDArray[np.float32]
 
 # Longer side of the working image of a large sensor, px. Options in pixels are meant for an image
 # of this size. Smaller sensors keep their pixels.
@@ -102,18 +104,35 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     events = window.events
     if len(events) < config.min_events:
         return None
-    events = spread(events, config.max_events)
-    s = ((events.t - window.t_start) / (window.t_end - window.t_start)).astype(np.float32)
-    if s.min() < 0 or s.max() > 1:
+    if events.t[0] < window.t_start or events.t[-1] > window.t_end:
         raise ValueError("a window's events have to lie between t_start and t_end")
-    if s[9 * len(s) // 10] - s[len(s) // 10] < _SHORTEST_SPREAD:
+    x, y, s, on, blocks = _to_working_image(
+        events.x, events.y, events.t, events.p, spread_places(events, config.max_events),
+        window.t_start, window.t_end, image.sensor_px, *image.camera.size,
+    )  # fmt: skip
+    if s[9 * len(s) // 10] - s[len(s) // 10] < _SHORTEST_SPREAD or blocks < _FEWEST_BLOCKS:
         return None
-    px = image.sensor_px
-    x, y = events.x.astype(np.float32) / px[0], events.y.astype(np.float32) / px[1]
-    blocks = (y / _BLOCK).astype(np.intp) * image.camera.width + (x / _BLOCK).astype(np.intp)
-    if np.count_nonzero(np.bincount(blocks)) < _FEWEST_BLOCKS:
-        return None
-    return WindowEvents.prepare(x, y, s, events.p)
+    return WindowEvents.prepare(x, y, s, on)
+
+
+@numba.njit(cache=True, nogil=True)
+def _to_working_image(
+    x: NDArray[np.uint16], y: NDArray[np.uint16], t: NDArray[np.int64], on: NDArray[np.bool_],
+    chosen: NDArray[np.intp], start: int, end: int, sensor_px: F32, width: int, height: int,
+) -> tuple[F32, F32, F32, NDArray[np.bool_], int]:  # fmt: skip
+    """Bring chosen events (N,) to the working image, and the time to [0, 1]; count filled blocks.
+
+    Returns:
+        x, y, s and polarity (N,); the number of blocks that hold events.
+    """
+    columns, rows = width // _BLOCK + 1, height // _BLOCK + 1
+    seen = np.zeros((rows, columns), np.bool_)
+    px, py, s = np.empty((3, len(chosen)), np.float32)
+    for n, k in enumerate(chosen):
+        s[n] = (t[k] - start) / (end - start)
+        px[n], py[n] = np.float32(x[k]) / sensor_px[0], np.float32(y[k]) / sensor_px[1]
+        seen[min(int(py[n]) // _BLOCK, rows - 1), min(int(px[n]) // _BLOCK, columns - 1)] = True
+    return px, py, s, on[chosen], seen.sum()
 
 
 def clean(window: Window, camera: Camera) -> Window:
@@ -160,15 +179,15 @@ def without_hot_pixels(events: Events, width: int, height: int) -> Events:
         events: on the sensor.
         width, height: of the sensor in pixels.
     """
-    alive, number = _not_hot(events.x, events.y, width, height)
-    return events[alive] if number < len(events) else events
+    hot = _hot(events.x, events.y, width, height)
+    return events[~hot[events.y, events.x]] if hot.any() else events
 
 
 @numba.njit(cache=True, nogil=True)
-def _not_hot(
+def _hot(
     x: NDArray[np.uint16], y: NDArray[np.uint16], width: int, height: int
-) -> tuple[NDArray[np.bool_], int]:
-    """Mask (N,) of the events that are not of hot pixels, and their number; all on the sensor."""
+) -> NDArray[np.bool_]:
+    """Mask (height, width) of the hot pixels; all events lie on the sensor."""
     count = np.zeros((height + 2, width + 2), np.int32)  # a frame spares the border's cases
     for k in range(len(x)):
         count[y[k] + 1, x[k] + 1] += 1
@@ -179,12 +198,7 @@ def _not_hot(
             if own > _FEWEST_HOT:
                 around = count[i : i + 3, j : j + 3].sum() - own
                 hot[i, j] = own > _FEWEST_HOT + _SHARE_OF_NEIGHBOURS * around
-    alive = np.empty(len(x), np.bool_)
-    number = 0
-    for k in range(len(x)):
-        alive[k] = not hot[y[k], x[k]]
-        number += alive[k]
-    return alive, number
+    return hot
 
 
 def without_flicker(events: Events, width: int, height: int) -> Events:
@@ -203,12 +217,11 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
     """
     if not len(events):
         return events
-    some = spread(events, len(events) // max(1, len(events) // _LAMP_SAMPLE))
-    seconds = ((some.t - some.t[0]) * 1e-9).astype(np.float32)
-    if seconds[-1] < _SHORTEST_LAMP_S:
+    some = spread_places(events, len(events) // max(1, len(events) // _LAMP_SAMPLE))
+    if (events.t[some[-1]] - events.t[some[0]]) * 1e-9 < _SHORTEST_LAMP_S:
         return events
-    count = -(-width // _LAMP_BLOCK) * -(-height // _LAMP_BLOCK)
-    flickers = _flickering(_lamp_blocks(some, width), seconds, some.p, count)
+    columns, rows = -(-width // _LAMP_BLOCK), -(-height // _LAMP_BLOCK)
+    flickers = _flickering(events.x, events.y, events.t, events.p, some, columns, columns * rows)
     if not flickers.any():
         return events
     return events[~flickers[_lamp_blocks(events, width)]]
@@ -216,34 +229,39 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
 
 @numba.njit(cache=True, nogil=True)
 def _flickering(
-    block: NDArray[np.intp], seconds: NDArray[np.float32], on: NDArray[np.bool_], count: int
-) -> NDArray[np.bool_]:
-    """Tell which of `count` blocks flicker in each part of the time; see `without_flicker`.
+    x: NDArray[np.uint16], y: NDArray[np.uint16], t: NDArray[np.int64], on: NDArray[np.bool_],
+    chosen: NDArray[np.intp], columns: int, count: int,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Tell which of `count` blocks, in so many columns, flicker; see `without_flicker`.
 
-    The events (N,) are sorted by time, and lie on the sensor.
+    They have to flicker in each part of the time. The chosen events (N,) are sorted by time, and
+    lie on the sensor.
     """
-    part = np.empty(len(block), np.int8)
+    block, end = np.empty(len(chosen), np.int32), np.zeros(_LAMP_PARTS + 1, np.int64)
+    seconds = ((t[chosen] - t[chosen[0]]) * 1e-9).astype(np.float32)
     number = np.zeros((_LAMP_PARTS, count), np.int32)
-    for k in range(len(block)):
-        part[k] = min(int(seconds[k] * (_LAMP_PARTS / seconds[-1])), _LAMP_PARTS - 1)
-        number[part[k], block[k]] += 1
+    for n, k in enumerate(chosen):
+        block[n] = (y[k] // _LAMP_BLOCK) * columns + x[k] // _LAMP_BLOCK
+        part = min(int(seconds[n] * (_LAMP_PARTS / seconds[-1])), _LAMP_PARTS - 1)
+        number[part, block[n]] += 1
+        end[part + 1] = n + 1  # stays 0 for a part without events, which has no certain block
     flickers = np.zeros(count, np.bool_)
     for frequency in MAINS_HZ:
         certain = np.ones(count, np.bool_)
-        for n in number:
-            certain &= n >= _CERTAIN
+        for of_part in number:
+            certain &= of_part >= _CERTAIN
         for p in range(_LAMP_PARTS):  # few blocks are left after the first
             wave = np.zeros((count, 2))
-            for k in range(len(block)):
-                if part[k] == p and certain[block[k]]:
-                    phase = int(frequency * seconds[k] * len(_WAVE)) % len(_WAVE)
-                    sign = 1.0 if on[k] else -1.0
-                    wave[block[k], 0] += sign * _WAVE[phase, 0]
-                    wave[block[k], 1] += sign * _WAVE[phase, 1]
+            for n in range(end[p], end[p + 1]):
+                if certain[block[n]]:
+                    phase = int(frequency * seconds[n] * len(_WAVE)) % len(_WAVE)
+                    sign = 1.0 if on[chosen[n]] else -1.0
+                    wave[block[n], 0] += sign * _WAVE[phase, 0]
+                    wave[block[n], 1] += sign * _WAVE[phase, 1]
             for i in range(count):
                 if certain[i]:
-                    n, squared = number[p, i], wave[i, 0] ** 2 + wave[i, 1] ** 2
-                    certain[i] = squared > max(_CERTAIN * n, (_COHERENT * n) ** 2)
+                    held, squared = number[p, i], wave[i, 0] ** 2 + wave[i, 1] ** 2
+                    certain[i] = squared > max(_CERTAIN * held, (_COHERENT * held) ** 2)
         flickers |= certain
     return flickers
 

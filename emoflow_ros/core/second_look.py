@@ -26,7 +26,7 @@ from emoflow_ros.core.contrast import (
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_kernels import bilinear
+from emoflow_ros.core.lattice_kernels import length_at
 from emoflow_ros.core.normal_equations import NormalEquations
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.window_events import WindowEvents
@@ -142,9 +142,7 @@ def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> fl
         events: of the window.
     """
     few = _some(events)
-    points = np.stack([few.x, few.y], axis=-1).astype(np.float64)
-    apart = bilinear((one - other).mean(axis=2), points, lattice.per_px)
-    return float(np.quantile(np.hypot(apart[:, 0], apart[:, 1]), _SHARE))
+    return float(length_at((one - other).mean(axis=2), few.x, few.y, lattice.per_px, _SHARE))
 
 
 def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) -> F32:

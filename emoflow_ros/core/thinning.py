@@ -130,17 +130,23 @@ class EventBudget:
 
 
 def spread(events: Events, count: int) -> Events:
-    """Return at most `count` events, spread over time as those of the stream are.
+    """Return at most `count` events, spread over time as those of the stream are."""
+    if events.stands_for is None and len(events) <= count:
+        return events
+    return events[spread_places(events, count)]
+
+
+def spread_places(events: Events, count: int) -> NDArray[np.intp]:
+    """Return the indices of the events that `spread` takes.
 
     Events of a thinned stream are taken where the stream has them: a step of the stream that none
     but one stands for gives that one.
     """
     if events.stands_for is None:
-        if len(events) <= count:
-            return events
-        return events[np.arange(count) * len(events) // count]
+        count = min(count, len(events))
+        return np.arange(count) * len(events) // max(1, count)
     chosen = np.empty(count, np.intp)
-    return events[chosen[: thinning_kernels.steps(np.ascontiguousarray(events.stands_for), chosen)]]
+    return chosen[: thinning_kernels.steps(np.ascontiguousarray(events.stands_for), chosen)]
 
 
 def first_of_latest(events: Events, count: int) -> int:

@@ -108,8 +108,10 @@ class WindowEvents:
         return found
 
     def between(self, begin: float, end: float) -> "WindowEvents":
-        """Take the events of a part of the window, times in [0, 1]."""
-        return self.at((self.s >= begin) & (self.s <= end))
+        """Take the events of a part of the window, times in [0, 1], as views."""
+        first = int(np.searchsorted(self.s, np.float32(begin)))
+        last = int(np.searchsorted(self.s, np.float32(end), side="right"))
+        return WindowEvents(*(c[first:last] for c in (self.x, self.y, self.s, self.weights)))
 
     def at(self, chosen: NDArray[np.bool_]) -> "WindowEvents":
         """Take the events of a mask (N,)."""

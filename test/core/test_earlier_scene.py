@@ -53,7 +53,7 @@ def moving(flow) -> WindowEvents:
     """400 points with 20 events each along a flow (nodes, 2) in px/s, noise of 0.3 px."""
     rng = np.random.default_rng(5)
     points = np.repeat(rng.uniform([15, 15], [225, 165], (400, 2)), 20, axis=0)
-    way = np.stack([LATTICE.interpolate(SECONDS * part, points) for part in flow.T], axis=-1)
+    way = LATTICE.interpolate(SECONDS * flow, points)
     s = rng.uniform(0, 1, len(points))
     x, y = (points + (s[:, None] - 0.5) * way + rng.normal(0, 0.3, points.shape)).T
     on = np.repeat(rng.random(400) < 0.5, 20)

@@ -208,18 +208,22 @@ def test_a_camera_that_shakes_goes_on_shaking_after_the_last_reading() -> None:
     present, whole, gyro = after_a_window_with_a_gyro("agile")
     before = gyro.t < whole.t_end - 40 * NS_PER_MS
     short = replace(whole, gyro=GyroReadings(gyro.t[before], gyro.w[before]))
-    shaking, scene = present.estimate(short), present._scene
-    assert shaking is not None and scene is not None
+    scene = present._scene
+    assert scene is not None
     half = min(whole.t_end - whole.t_start, scene.length_ns) // 2
     middle = whole.t_end - half
     told = scene.change_by_gyro(short.gyro, middle)
     assert told is not None
     seconds = scene.predicted_change(middle)[0] / scene.angular_acceleration[0]
-    present._scene = replace(scene, angular_acceleration=told[0] / seconds)
-    other, foreseen = present._scene, present.estimate(short)
-    assert foreseen is not None
+    foreseeing = replace(scene, angular_acceleration=told[0] / seconds)
+    surprised = replace(scene, angular_acceleration=told[0] / seconds - 2.0)  # rad/s^2
+    present._scene = surprised
+    shaking = present.estimate(short)
+    present._scene = foreseeing
+    foreseen = present.estimate(short)
+    assert shaking is not None and foreseen is not None
     squares = []
-    for found, known in ((shaking, scene), (foreseen, other)):
+    for found, known in ((shaking, surprised), (foreseen, foreseeing)):
         change = found.twist.angular - known.motion[:3] - known.predicted_change(whole.t_end)
         squares.append(change @ change)
     drift = 0.5 * (squares[0] - squares[1]) / (3 * (middle - scene.t) / NS_PER_S)
