@@ -49,14 +49,15 @@ def eliminate(band: F64, right: F64) -> None:
     Raises:
         NotPositiveDefiniteError: there is no factor.
     """
-    assert band.flags.c_contiguous and right.flags.c_contiguous and right.shape[1] == len(band)
+    assert band.dtype == right.dtype == np.float64 and right.shape[1] == len(band)
+    assert band.flags.c_contiguous and right.flags.c_contiguous
     if not _eliminate(band, right):
         raise NotPositiveDefiniteError
 
 
 @_compiled
 def _eliminate(band: F64, right: F64) -> bool:
-    """Do it; False if there is no factor."""
+    """As `eliminate`, but return whether there is a factor."""
     n, width = band.shape
     few = np.empty((_FEW, width))  # columns that are eliminated, in the rows below all of them
     a, b, c, d = few
@@ -72,7 +73,7 @@ def _eliminate(band: F64, right: F64) -> bool:
             for i in range(below):
                 reach = end - begin - q + i
                 few[q, i] = band[begin + q, reach] if reach < width else 0.0
-        # Each value that is read serves two columns, or a right side, four times.
+        # Two columns of the rest at once, each by all that are eliminated: fewer reads and writes.
         for p in range(0, below - 1, 2):
             a0, b0, c0, d0 = a[p], b[p], c[p], d[p]
             a1, b1, c1, d1 = a[p + 1], b[p + 1], c[p + 1], d[p + 1]
@@ -101,7 +102,7 @@ def _eliminate(band: F64, right: F64) -> bool:
     return True
 
 
-@_compiled
+@numba.njit(cache=True, inline="always")  # why: see core.constraints
 def _eliminate_column(band: F64, j: int, end: int) -> bool:
     """Divide column j by its root, and take it from the columns before `end`."""
     column, length = band[j], min(band.shape[1], len(band) - j)
@@ -123,7 +124,7 @@ def substitute_back(factor: F64, right: F64) -> None:
 
     Args:
         factor: (n, width) of L, as `eliminate` leaves it.
-        right: b, becomes x.
+        right: b, becomes x. Its length is not checked.
     """
     n, width = factor.shape
     for j in range(n - 1, -1, -1):

@@ -186,6 +186,8 @@ def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: flo
 
 @cache
 def _around(most: int) -> F32:
-    """Places (n, 2) of a square grid, up to `most` from its middle; the array is shared."""
+    """Places (n, 2) of a square grid, up to `most` steps from its middle; the array is shared."""
     steps = np.arange(-most, most + 1, dtype=np.float32)
-    return np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    places = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    places.setflags(write=False)
+    return places

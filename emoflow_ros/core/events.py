@@ -42,11 +42,11 @@ class Events:
 
     def __getitem__(self, index: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Events":
         """Select events by slice (views), mask or indices (copies)."""
-        columns = self.x, self.y, self.t, self.p, self.stands_for
-        if isinstance(index, slice):
-            return Events(*(None if c is None else c[index] for c in columns))  # type: ignore[arg-type]
-        places = np.flatnonzero(index) if index.dtype == np.bool_ else index
-        return Events(*(None if c is None else c.take(places) for c in columns))  # type: ignore[arg-type]
+        if not isinstance(index, slice) and index.dtype == np.bool_:
+            assert len(index) == len(self)
+            index = np.flatnonzero(index)  # once for all columns
+        stands_for = None if self.stands_for is None else self.stands_for[index]
+        return Events(self.x[index], self.y[index], self.t[index], self.p[index], stands_for)
 
     @property
     def came(self) -> int:

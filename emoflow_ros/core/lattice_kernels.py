@@ -107,8 +107,8 @@ def length_at(grid: F32, x: F32, y: F32, per_px: F32, share: float) -> float:
     """Return the length that vectors on a grid (columns, rows, 2) keep to at a share of points.
 
     Args:
-        grid: the vectors at the nodes, bilinear in between.
-        x, y: (N,) px, on the grid.
+        grid: the vectors at the nodes, bilinear in between; the length is in their unit.
+        x, y: (N,) px, at least one, all on the grid.
         per_px: cells per pixel in x and y.
         share: of the points, in [0, 1].
     """

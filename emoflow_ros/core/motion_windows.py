@@ -156,7 +156,7 @@ class MotionWindows:
 
 @numba.njit(cache=True, nogil=True)
 def _path_length(positions: NDArray[np.float64], share: float) -> float:
-    """Length that a share of the paths through positions (times, N, 2) keeps to."""
+    """Length, px, that a share of the paths through positions (times, N, 2) px keeps to."""
     length = np.zeros(positions.shape[1])
     for leg in range(len(positions) - 1):
         for i in range(len(length)):

@@ -92,7 +92,7 @@ def reduction(sensor: Camera) -> float:
 
 
 def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> WindowEvents | None:
-    """Take a window's events to the working image, thinned evenly to max_events.
+    """Take a window's events, in the order of time, to the working image, thinned to max_events.
 
     Returns:
         None if they are too few, or one burst without the time that motion needs, or all on
@@ -104,7 +104,8 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     events = window.events
     if len(events) < config.min_events:
         return None
-    if events.t[0] < window.t_start or events.t[-1] > window.t_end:
+    first, last = int(events.t[0]), int(events.t[-1])
+    if not window.t_start <= first <= last <= window.t_end or window.t_start == window.t_end:
         raise ValueError("a window's events have to lie between t_start and t_end")
     x, y, s, on, blocks = _to_working_image(
         events.x, events.y, events.t, events.p, spread_places(events, config.max_events),
@@ -244,7 +245,8 @@ def _flickering(
         block[n] = (y[k] // _LAMP_BLOCK) * columns + x[k] // _LAMP_BLOCK
         part = min(int(seconds[n] * (_LAMP_PARTS / seconds[-1])), _LAMP_PARTS - 1)
         number[part, block[n]] += 1
-        end[part + 1] = n + 1  # stays 0 for a part without events, which has no certain block
+        end[part + 1] = n + 1
+    # After a part without events the next one would begin at 0: but then no block is certain.
     flickers = np.zeros(count, np.bool_)
     for frequency in MAINS_HZ:
         certain = np.ones(count, np.bool_)

@@ -137,7 +137,7 @@ def spread(events: Events, count: int) -> Events:
 
 
 def spread_places(events: Events, count: int) -> NDArray[np.intp]:
-    """Return the indices of the events that `spread` takes.
+    """Return the indices (M,) of the events that `spread` takes.
 
     Events of a thinned stream are taken where the stream has them: a step of the stream that none
     but one stands for gives that one.

@@ -108,7 +108,7 @@ class WindowEvents:
         return found
 
     def between(self, begin: float, end: float) -> "WindowEvents":
-        """Take the events of a part of the window, times in [0, 1], as views."""
+        """Take the events of a part of the window, begin and end in [0, 1], as views."""
         first = int(np.searchsorted(self.s, np.float32(begin)))
         last = int(np.searchsorted(self.s, np.float32(end), side="right"))
         return WindowEvents(*(c[first:last] for c in (self.x, self.y, self.s, self.weights)))

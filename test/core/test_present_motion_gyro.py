@@ -204,7 +204,10 @@ def test_readings_that_end_before_now_tell_less_of_it() -> None:
 
 
 def test_a_camera_that_shakes_goes_on_shaking_after_the_last_reading() -> None:
-    """The gyro reaches the slice's middle, not its end, where the window may foresee another w."""
+    """The gyro reaches the slice's middle, not its end, where the window may foresee another w.
+
+    The surprise is put in: by how much the window itself is wrong hangs on rounding.
+    """
     present, whole, gyro = after_a_window_with_a_gyro("agile")
     before = gyro.t < whole.t_end - 40 * NS_PER_MS
     short = replace(whole, gyro=GyroReadings(gyro.t[before], gyro.w[before]))

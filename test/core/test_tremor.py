@@ -54,7 +54,7 @@ def events(tremor: np.ndarray, points: int = 400, each: int = 25) -> WindowEvent
 
 
 def flow_at(points: np.ndarray, w: np.ndarray) -> np.ndarray:
-    return bilinear(LATTICE.at_time(flow_of(w), 0.5), points, LATTICE.per_px).astype(np.float64)
+    return bilinear(LATTICE.at_time(flow_of(w), 0.5), points, LATTICE.per_px)
 
 
 def fitted() -> Estimate:

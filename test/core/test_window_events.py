@@ -50,6 +50,17 @@ def test_they_are_sorted_once_for_each_lattice():
     assert given.every(1) is given
 
 
+def test_a_part_holds_the_events_of_its_times_both_ends_included():
+    whole = events()
+    begin, end = whole.s[100], whole.s[300]
+    part = whole.between(begin, end)
+    inside = (whole.s >= begin) & (whole.s <= end)
+    assert 0 < np.count_nonzero(inside) < len(whole)
+    for name in ("x", "y", "s", "weights"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[inside])
+    assert len(whole.between(-0.2, -0.1)) == len(whole.between(1.1, 1.2)) == 0
+
+
 def test_a_window_without_events_has_empty_cells():
     here = events(2).at(np.zeros(2, bool)).on(LATTICE)
     assert len(here.s) == 0 and not here.begin.any()

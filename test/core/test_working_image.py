@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
-from emoflow_ros.core.preparation import WorkingImage, reduction
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.preparation import WorkingImage, prepare, reduction
 
 HD = Camera(1280, 720, 900.0, 910.0, 630.0, 350.0, "plumb_bob", (-0.3, 0.1, 1e-3, 2e-3))
 
@@ -40,3 +42,48 @@ def test_flow_comes_back_in_the_sensor_s_pixels():
     assert found.shape == (720, 1280, 2)
     np.testing.assert_allclose(found, np.broadcast_to([2, -1] * image.sensor_px, found.shape),
                                rtol=1e-5)  # fmt: skip
+
+
+START, END = 1_500_000_000_000_000_000, 1_500_000_000_050_000_000
+
+
+def window_of(camera: Camera, t: np.ndarray) -> Window:
+    """Events anywhere on the sensor, its last column and row among them."""
+    rng = np.random.default_rng(0)
+    x, y = (rng.integers(0, side, len(t)).astype(np.uint16) for side in camera.size)
+    x[:50], y[:50] = camera.width - 1, camera.height - 1
+    return Window(START, END, Events(x, y, t, rng.random(len(t)) < 0.5))
+
+
+@pytest.mark.parametrize("camera", [HD, Camera(346, 260, 200.0, 200.0, 170.0, 130.0)])
+def test_events_are_moved_to_the_working_image_and_to_times_from_0_to_1(camera):
+    window = window_of(camera, np.linspace(START, END, 4000).astype(np.int64))
+    image, events = WorkingImage.of(camera), window.events
+    found = prepare(window, image, LatticeConfig(max_events=2000))
+    assert found is not None
+    px = image.sensor_px
+    np.testing.assert_array_equal(found.x, events.x[::2].astype(np.float32) / px[0])
+    np.testing.assert_array_equal(found.y, events.y[::2].astype(np.float32) / px[1])
+    np.testing.assert_allclose(found.s, (events.t[::2] - START) / (END - START), rtol=1e-6)
+    np.testing.assert_array_equal(found.weights > 0, events.p[::2])
+    assert found.x.max() == image.camera.width - 1 and found.y.max() == image.camera.height - 1
+
+
+@pytest.mark.parametrize("moved", [-1_000, 1_000])
+def test_events_outside_the_window_s_interval_are_refused(moved):
+    """One at its end may be there: in windows by count some are."""
+    t = np.linspace(START, END, 4000).astype(np.int64) + moved
+    with pytest.raises(ValueError, match="between t_start and t_end"):
+        prepare(window_of(HD, t), WorkingImage.of(HD), LatticeConfig())
+
+
+@pytest.mark.parametrize(("side", "enough"), [(24, False), (40, True)])
+def test_events_on_few_blocks_are_too_little(side, enough):
+    """Blocks of 8 px, of which 16 must hold events."""
+    window = window_of(HD, np.linspace(START, END, 4000).astype(np.int64))
+    px = WorkingImage.of(HD).sensor_px
+    small = (window.events.x % (side * px[0])).astype(np.uint16)
+    low = (window.events.y % (side * px[1])).astype(np.uint16)
+    few = Events(small, low, window.events.t, window.events.p)
+    found = prepare(Window(START, END, few), WorkingImage.of(HD), LatticeConfig())
+    assert (found is not None) is enough
