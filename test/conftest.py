@@ -4,6 +4,7 @@ import fcntl
 import os
 import signal
 import socket
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -39,6 +40,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, str(ROOT / "test" / "recordings"))
 pytest_plugins = ["recording_fixtures"]
 
+_COMPILE = """
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.node.worker import _Worker
+_Worker(make_estimator)._warm_up()
+"""
 _locks: list[IO[str]] = []  # open for as long as this process has the domain
 
 
@@ -65,6 +71,16 @@ def _free_domain() -> int:
 
 
 os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_xdist_setupnodes() -> None:
+    """Compile the estimator in one process, before several run tests.
+
+    Where two of them compile, each a part of the kernels, what they compute may differ in the last
+    digits (see contrast._load_kernels). Tests hold one process against another bit by bit.
+    """
+    subprocess.run([sys.executable, "-c", _COMPILE], cwd=ROOT, check=False)
 
 
 @pytest.hookimpl(optionalhook=True)  # of pytest-xdist

@@ -137,6 +137,8 @@ def _load_kernels() -> None:
     Such a function brings copies of the kernels along, compiled anew, whose sums are taken in
     another order. Of a kernel a process uses the copy that it has loaded first. So without this
     a window would not have the same bits in the process that compiles and in those that load.
+    That holds if one process has compiled everything: where two of them compile at once, each may
+    load a part that the other one has compiled, and have other last digits.
     """
     lattice = Lattice.with_spacing(16, 16, 8.0)
     flow, cells = np.zeros(lattice.shape, np.float32), Cells.empty(lattice.columns, lattice.rows)

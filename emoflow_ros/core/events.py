@@ -42,9 +42,6 @@ class Events:
 
     def __getitem__(self, index: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Events":
         """Select events by slice (views), mask or indices (copies)."""
-        if not isinstance(index, slice) and index.dtype == np.bool_:
-            assert len(index) == len(self)
-            index = np.flatnonzero(index)  # once for all columns
         stands_for = None if self.stands_for is None else self.stands_for[index]
         return Events(self.x[index], self.y[index], self.t[index], self.p[index], stands_for)
 
