@@ -82,7 +82,7 @@ def draw_shifted(
 def sum_of_squares(image: F32) -> float:
     """Add up the squares of an image of any shape."""
     total, values = np.float32(0), image.ravel()
-    for k in range(len(values)):
+    for k in range(len(values)):  # over indices: over values it is no vector instructions
         total += values[k] * values[k]
     return float(total)
 

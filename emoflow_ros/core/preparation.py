@@ -132,6 +132,7 @@ def _to_working_image(
     for n, k in enumerate(chosen):
         s[n] = (t[k] - start) / (end - start)
         px[n], py[n] = np.float32(x[k]) / sensor_px[0], np.float32(y[k]) / sensor_px[1]
+        # Numba checks no bounds; an event off the sensor counts for the block at the border.
         seen[min(int(py[n]) // _BLOCK, rows - 1), min(int(px[n]) // _BLOCK, columns - 1)] = True
     return px, py, s, on[chosen], seen.sum()
 
