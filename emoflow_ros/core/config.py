@@ -19,6 +19,7 @@ from emoflow_ros.core.events import WindowPolicy
 from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import option, options_of, replace_options
+from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 
 ROTATION_FROM_TF = "tf"
@@ -147,6 +148,14 @@ class Config:
     window: WindowPolicy = field(default_factory=WindowPolicy)
     estimator: LatticeConfig | ImplicitConfig = field(default_factory=LatticeConfig)
     imu: GyroConfig = field(default_factory=GyroConfig)
+
+    @property
+    def event_budget(self) -> EventBudget:
+        """How many events of a window are used at all."""
+        most = self.estimator.max_events
+        if isinstance(self.estimator, LatticeConfig) and self.estimator.memory:
+            most = max(most, self.estimator.tracked_events)
+        return EventBudget(self.window, most)
 
     def flat(self) -> dict[str, Any]:
         """All values by dotted name, as written beside every result."""

@@ -8,7 +8,6 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, require_cuda, require_torch
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.thinning import EventBudget
 
 if TYPE_CHECKING:
     from emoflow_ros.core.contrast import ContrastFactory
@@ -34,7 +33,7 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
             from emoflow_ros.core.motion_windows import MotionWindows
 
             estimator = MotionWindows(estimator, camera, config.window, None)
-    return BoundedWindows(estimator, EventBudget(config.window, config.estimator.max_events))
+    return BoundedWindows(estimator, config.event_budget)
 
 
 def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
@@ -49,6 +48,10 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     if config.window.max_displacement_px > 0:
         look = QuickLook(camera, lattice, make_contrast).flow
         estimator = MotionWindows(estimator, camera, config.window, look)
+    if lattice.memory:
+        from emoflow_ros.core.remembering import RememberingEstimator
+
+        estimator = RememberingEstimator(estimator, camera)
     estimator = CleanWindows(estimator, camera)
     if lattice.max_doubt < 1:
         estimator = ReliableOnly(estimator, lattice.max_doubt)

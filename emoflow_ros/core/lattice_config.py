@@ -96,6 +96,17 @@ class LatticeConfig:
         minimum=1.0,
         maximum=10.0,
     )
+    memory: bool = option(
+        False,
+        "adjust the motion to patches of edges that are found again over half a second "
+        "(core.odometry): more accurate where there is texture, and never silent",
+    )
+    tracked_events: int = option(
+        120_000,
+        "events per window that the memory uses, spread evenly over it",
+        minimum=1000,
+        maximum=10_000_000,
+    )
     max_doubt: float = option(
         0.07,
         "probability of failure above which a window gives no estimate but the status uncertain, "

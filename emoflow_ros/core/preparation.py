@@ -62,9 +62,9 @@ class WorkingImage:
     camera: Camera
 
     @classmethod
-    def of(cls, sensor: Camera) -> "WorkingImage":
-        """Choose the working image of a sensor."""
-        ratio = reduction(sensor)
+    def of(cls, sensor: Camera, longer_side_px: int = _LONGER_SIDE_PX) -> "WorkingImage":
+        """Choose the working image of a sensor, no longer than a number of pixels."""
+        ratio = reduction(sensor, longer_side_px)
         if ratio == 1.0:
             return cls(sensor, sensor)
         width, height = (max(2, round((n - 1) / ratio) + 1) for n in sensor.size)
@@ -86,9 +86,9 @@ class WorkingImage:
         return nodes, flow * self.sensor_px
 
 
-def reduction(sensor: Camera) -> float:
+def reduction(sensor: Camera, longer_side_px: int = _LONGER_SIDE_PX) -> float:
     """Sensor pixels per pixel of the working image, 1 for sensors that are no larger."""
-    return max(1.0, (max(sensor.size) - 1) / (_LONGER_SIDE_PX - 1))
+    return max(1.0, (max(sensor.size) - 1) / (longer_side_px - 1))
 
 
 def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> WindowEvents | None:

@@ -221,7 +221,7 @@ class Settings:
     @property
     def budget(self) -> EventBudget:
         """How windows are cut, and how many events they may hold."""
-        return EventBudget(self.config.window, self.config.estimator.max_events)
+        return self.config.event_budget
 
     @property
     def slices(self) -> EventBudget | None:

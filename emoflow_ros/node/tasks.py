@@ -13,7 +13,6 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, PresentTwist
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.thinning import EventBudget
 
 type Arrays = dict[str, NDArray[Any]]
 
@@ -85,7 +84,7 @@ class Job:
 
     def thinned(self) -> "Job":
         """Return it with no more events in its window than the estimator may use."""
-        budget = EventBudget(self.config.window, self.config.estimator.max_events)
+        budget = self.config.event_budget
         return replace(self, task=replace(self.task, window=budget.bound(self.task.window)))
 
 

@@ -1,0 +1,356 @@
+"""Compiled loops of the adjustment: residuals, their derivatives, and the normal equations."""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+NODE = 12  # unknowns of a node: rotation, position, angular velocity, velocity
+POSE = 6  # the first of them, which observations depend on
+_NEAREST = 1e-3  # least depth over that of the anchor
+
+_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+
+
+class Observations(NamedTuple):
+    """Where patches were seen.
+
+    Attributes:
+        patch, node: (O,) which patch was seen at which node.
+        seen: (O, 2) on the undistorted normalised plane.
+        root: (O, 2, 2) square root of the information on that plane.
+        anchor: (J,) the node that a patch's depth is given at.
+        bearing: (J, 2) where it was seen there.
+        depth_mean, depth_sd: (J,) what is known of the inverse depth besides.
+    """
+
+    patch: Index
+    node: Index
+    seen: Array
+    root: Array
+    anchor: Index
+    bearing: Array
+    depth_mean: Array
+    depth_sd: Array
+
+
+class Unknowns(NamedTuple):
+    """What is adjusted.
+
+    Attributes:
+        rotation: (K, 3, 3) from the camera at each node to the common frame.
+        position: (K, 3) of the camera in the common frame.
+        angular: (K, 3) rad/s in the camera's frame.
+        velocity: (K, 3) in the common frame, mean depths per second.
+        inverse_depth: (J,) at each patch's anchor.
+    """
+
+    rotation: Array
+    position: Array
+    angular: Array
+    velocity: Array
+    inverse_depth: Array
+
+
+class Prior(NamedTuple):
+    """What is known of the motion besides.
+
+    Attributes:
+        seconds: (K - 1,) between the nodes.
+        angular_walk, velocity_walk: random walk's power spectral density of angular velocity,
+            rad^2/s^3, and of velocity.
+        speed_sd: standard deviation of each component of the velocity.
+        measured_node: (M,) node before which an angular velocity was measured.
+        measured_share: (M,) of the way to the next node.
+        measured: (M, 3) rad/s.
+        measured_root: (M, 3, 3) square root of the information.
+        measured_outlier: distance in standard deviations from which a measurement counts little.
+    """
+
+    seconds: Array
+    angular_walk: float
+    velocity_walk: float
+    speed_sd: float
+    measured_node: Index
+    measured_share: Array
+    measured: Array
+    measured_root: Array
+    measured_outlier: float
+
+
+@_compiled
+def rotation_vector(matrix: Array) -> tuple[float, float, float]:
+    """Logarithm of a rotation (3, 3) below 180 degrees."""
+    x = 0.5 * (matrix[2, 1] - matrix[1, 2])
+    y = 0.5 * (matrix[0, 2] - matrix[2, 0])
+    z = 0.5 * (matrix[1, 0] - matrix[0, 1])
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1.0)
+    angle = math.atan2(sine, cosine)
+    factor = angle / sine if sine > 1e-9 else 1.0
+    return factor * x, factor * y, factor * z
+
+
+@_compiled
+def turned(rotation: Array, step: Array) -> Array:
+    """Rotation (3, 3) times the exponential of a rotation vector (3,)."""
+    angle = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+    a = math.sin(angle) / angle if angle > 1e-9 else 1.0
+    b = (1 - math.cos(angle)) / angle**2 if angle > 1e-6 else 0.5
+    x, y, z = step[0], step[1], step[2]
+    turn = np.empty((3, 3))
+    turn[0, 0], turn[1, 1], turn[2, 2] = (
+        1 - b * (y * y + z * z), 1 - b * (x * x + z * z), 1 - b * (x * x + y * y)
+    )  # fmt: skip
+    turn[0, 1], turn[1, 0] = b * x * y - a * z, b * x * y + a * z
+    turn[0, 2], turn[2, 0] = b * x * z + a * y, b * x * z - a * y
+    turn[1, 2], turn[2, 1] = b * y * z - a * x, b * y * z + a * x
+    out = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                out[i, j] += rotation[i, k] * turn[k, j]
+    return out
+
+
+@_compiled
+def _point(o: Observations, x: Unknowns, n: int, q: Array) -> None:
+    """Write the patch of observation n, over its depth at the anchor, in its node's frame."""
+    j, k = o.patch[n], o.node[n]
+    i = o.anchor[j]
+    rho = x.inverse_depth[j]
+    for a in range(3):
+        q[a] = 0.0
+    for a in range(3):  # in the common frame, relative to the node
+        ray = x.rotation[i, a, 0] * o.bearing[j, 0] + x.rotation[i, a, 1] * o.bearing[j, 1]
+        ray += x.rotation[i, a, 2] + rho * (x.position[i, a] - x.position[k, a])
+        for b in range(3):
+            q[b] += x.rotation[k, a, b] * ray
+
+
+@_compiled
+def observation_cost(o: Observations, x: Unknowns, outlier: float, squares: Array) -> float:
+    """Robust cost of all observations; their squares over the variance are written into (O,)."""
+    q = np.empty(3)
+    cost = 0.0
+    for n in range(len(o.patch)):
+        _point(o, x, n, q)
+        z = max(q[2], _NEAREST)
+        ex, ey = q[0] / z - o.seen[n, 0], q[1] / z - o.seen[n, 1]
+        rx = o.root[n, 0, 0] * ex + o.root[n, 0, 1] * ey
+        ry = o.root[n, 1, 0] * ex + o.root[n, 1, 1] * ey
+        squares[n] = rx * rx + ry * ry
+        cost += 0.5 * squares[n] / (1 + squares[n] / outlier**2)
+    for j in range(len(o.anchor)):
+        cost += 0.5 * ((x.inverse_depth[j] - o.depth_mean[j]) / o.depth_sd[j]) ** 2
+    return cost
+
+
+@_compiled
+def observe(
+    o: Observations, x: Unknowns, outlier: float,
+    matrix: Array, right: Array, cross: Array, depth_matrix: Array, depth_right: Array,
+) -> None:  # fmt: skip
+    """Add the observations to the normal equations (Geman and McClure's weights).
+
+    Args:
+        o, x: observations and where they are linearised.
+        outlier: distance in standard deviations from which an observation counts little.
+        matrix, right: (12 K, 12 K) and (12 K,) of the nodes.
+        cross: (J, 12 K) of depths and nodes.
+        depth_matrix, depth_right: (J,) of the depths.
+    """
+    q, ray = np.empty(3), np.empty(3)
+    rows = np.empty((2, 13))  # by node's pose, by anchor's pose, by depth
+    at = np.empty((2, 3))
+    for n in range(len(o.patch)):
+        j, k = o.patch[n], o.node[n]
+        i = o.anchor[j]
+        _point(o, x, n, q)
+        z = max(q[2], _NEAREST)
+        px, py = q[0] / z, q[1] / z
+        ex, ey = px - o.seen[n, 0], py - o.seen[n, 1]
+        rx = o.root[n, 0, 0] * ex + o.root[n, 0, 1] * ey
+        ry = o.root[n, 1, 0] * ex + o.root[n, 1, 1] * ey
+        weight = 1.0 / (1 + (rx * rx + ry * ry) / outlier**2)
+        rho = x.inverse_depth[j]
+        bx, by = o.bearing[j, 0], o.bearing[j, 1]
+        for a in range(2):  # a row of `at` is weight times d residual / d q
+            l0, l1 = weight * o.root[n, a, 0], weight * o.root[n, a, 1]
+            at[a, 0], at[a, 1], at[a, 2] = l0 / z, l1 / z, -(l0 * px + l1 * py) / z
+        for a in range(2):
+            # by the node's rotation: at x hat(q)
+            rows[a, 0] = at[a, 1] * q[2] - at[a, 2] * q[1]
+            rows[a, 1] = at[a, 2] * q[0] - at[a, 0] * q[2]
+            rows[a, 2] = at[a, 0] * q[1] - at[a, 1] * q[0]
+            depth = 0.0
+            for b in range(3):  # at in the common frame
+                ray[b] = (
+                    at[a, 0] * x.rotation[k, b, 0]
+                    + at[a, 1] * x.rotation[k, b, 1]
+                    + at[a, 2] * x.rotation[k, b, 2]
+                )
+                rows[a, 3 + b] = -rho * ray[b]
+                rows[a, 9 + b] = rho * ray[b]
+                depth += ray[b] * (x.position[i, b] - x.position[k, b])
+            rows[a, 12] = depth
+            c0 = ray[0] * x.rotation[i, 0, 0] + ray[1] * x.rotation[i, 1, 0]
+            c0 += ray[2] * x.rotation[i, 2, 0]
+            c1 = ray[0] * x.rotation[i, 0, 1] + ray[1] * x.rotation[i, 1, 1]
+            c1 += ray[2] * x.rotation[i, 2, 1]
+            c2 = ray[0] * x.rotation[i, 0, 2] + ray[1] * x.rotation[i, 1, 2]
+            c2 += ray[2] * x.rotation[i, 2, 2]
+            # by the anchor's rotation: -c x hat(b)
+            rows[a, 6] = -(c1 - c2 * by)
+            rows[a, 7] = -(c2 * bx - c0)
+            rows[a, 8] = -(c0 * by - c1 * bx)
+        rx, ry = weight * rx, weight * ry
+        depth_matrix[j] += rows[0, 12] ** 2 + rows[1, 12] ** 2
+        depth_right[j] -= rows[0, 12] * rx + rows[1, 12] * ry
+        for a in range(12):
+            u = NODE * k + a if a < POSE else NODE * i + a - POSE
+            ra, rb = rows[0, a], rows[1, a]
+            right[u] -= ra * rx + rb * ry
+            cross[j, u] += ra * rows[0, 12] + rb * rows[1, 12]
+            for b in range(12):
+                v = NODE * k + b if b < POSE else NODE * i + b - POSE
+                matrix[u, v] += ra * rows[0, b] + rb * rows[1, b]
+    for j in range(len(o.anchor)):
+        precision = 1.0 / o.depth_sd[j] ** 2
+        depth_matrix[j] += precision
+        depth_right[j] -= precision * (x.inverse_depth[j] - o.depth_mean[j])
+
+
+@_compiled
+def without_depths(
+    matrix: Array, right: Array, cross: Array, depth_matrix: Array, depth_right: Array
+) -> None:
+    """Take the depths out of the normal equations, in place (Schur complement)."""
+    size = len(right)
+    touched = np.empty(size, np.int64)
+    for j in range(len(depth_matrix)):
+        count = 0
+        for u in range(size):
+            if cross[j, u] != 0.0:
+                touched[count] = u
+                count += 1
+        inverse = 1.0 / depth_matrix[j]
+        for a in range(count):
+            u = touched[a]
+            factor = cross[j, u] * inverse
+            right[u] -= factor * depth_right[j]
+            for b in range(count):
+                v = touched[b]
+                matrix[u, v] -= factor * cross[j, v]
+
+
+@_compiled
+def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: bool) -> float:
+    """Add the motion prior to the normal equations, and return its cost.
+
+    Between nodes white noise drives the accelerations (Barfoot, State Estimation for Robotics,
+    2017, ch. 11): for position and velocity the residuals are p' - p - dt v and v' - v with the
+    covariance q [dt^3/3, dt^2/2; dt^2/2, dt].
+
+    Args:
+        x: where it is linearised.
+        prior: its strength, and what was measured.
+        matrix, right: of the nodes, changed if `build`.
+        build: whether to add to them.
+    """
+    cost = 0.0
+    rows = np.zeros((2, 4 * 3))  # by rotation (or position) and rate at both nodes
+    places = np.empty(12, np.int64)
+    relative, step = np.empty((3, 3)), np.empty(3)
+    for k in range(len(prior.seconds)):
+        dt = prior.seconds[k]
+        for i in range(3):
+            for j in range(3):
+                relative[i, j] = 0.0
+                for m in range(3):
+                    relative[i, j] += x.rotation[k, m, i] * x.rotation[k + 1, m, j]
+        step[0], step[1], step[2] = rotation_vector(relative)
+        for kind in range(2):
+            density = prior.angular_walk if kind == 0 else prior.velocity_walk
+            m00, m01, m11 = 12 / (density * dt**3), -6 / (density * dt**2), 4 / (density * dt)
+            offset = 3 * kind
+            for a in range(12):
+                part, axis = a // 3, a % 3
+                node = k if part < 2 else k + 1
+                places[a] = NODE * node + offset + axis + (POSE if part % 2 else 0)
+            for axis in range(3):
+                rows[:] = 0.0
+                if kind == 0:
+                    first = step[axis] - dt * x.angular[k, axis]
+                    second = x.angular[k + 1, axis] - x.angular[k, axis]
+                    for b in range(3):
+                        rows[0, b] = -relative[b, axis]
+                else:
+                    first = x.position[k + 1, axis] - x.position[k, axis]
+                    first -= dt * x.velocity[k, axis]
+                    second = x.velocity[k + 1, axis] - x.velocity[k, axis]
+                    rows[0, axis] = -1.0
+                rows[0, 3 + axis] = -dt
+                rows[0, 6 + axis] = 1.0
+                rows[1, 3 + axis] = -1.0
+                rows[1, 9 + axis] = 1.0
+                cost += 0.5 * (m00 * first**2 + 2 * m01 * first * second + m11 * second**2)
+                if build:
+                    for a in range(12):
+                        la = m00 * rows[0, a] + m01 * rows[1, a]
+                        lb = m01 * rows[0, a] + m11 * rows[1, a]
+                        if la == 0.0 and lb == 0.0:
+                            continue
+                        right[places[a]] -= la * first + lb * second
+                        for b in range(12):
+                            matrix[places[a], places[b]] += la * rows[0, b] + lb * rows[1, b]
+    slow = 1.0 / prior.speed_sd**2
+    for k in range(len(x.position)):
+        for a in range(3):
+            cost += 0.5 * slow * x.velocity[k, a] ** 2
+            if build:
+                u = NODE * k + 9 + a
+                matrix[u, u] += slow
+                right[u] -= slow * x.velocity[k, a]
+    return cost + _measured(x, prior, matrix, right, build)
+
+
+@_compiled
+def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: bool) -> float:
+    """Add measured angular velocities, and return their robust cost."""
+    cost = 0.0
+    for m in range(len(prior.measured_node)):
+        k, share = prior.measured_node[m], prior.measured_share[m]
+        error, squares = np.empty(3), 0.0
+        for a in range(3):
+            error[a] = (1 - share) * x.angular[k, a] - prior.measured[m, a]
+            if share > 0:
+                error[a] += share * x.angular[k + 1, a]
+        residual = prior.measured_root[m] @ error
+        for a in range(3):
+            squares += residual[a] ** 2
+        bound = prior.measured_outlier**2
+        cost += 0.5 * squares / (1 + squares / bound)
+        if build:
+            weight = 1 / (1 + squares / bound) ** 2
+            information = weight * (prior.measured_root[m].T @ prior.measured_root[m])
+            force = information @ error
+            for a in range(3):
+                for i in range(2):
+                    si = share if i else 1 - share
+                    if si == 0:
+                        continue
+                    u = NODE * (k + i) + POSE + a
+                    right[u] -= si * force[a]
+                    for b in range(3):
+                        for j in range(2):
+                            sj = share if j else 1 - share
+                            if sj != 0:
+                                v = NODE * (k + j) + POSE + b
+                                matrix[u, v] += si * sj * information[a, b]
+    return cost

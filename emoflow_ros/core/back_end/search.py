@@ -1,0 +1,91 @@
+"""Where the adjustment starts from, and whether the camera travels or only rotates."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
+from emoflow_ros.core.back_end.adjustment_kernels import Observations, Prior, Unknowns
+from emoflow_ros.core.back_end.evidence import Measured
+from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.trajectory import along
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+_TRIED_AT = (4, 6, 8)  # numbers of nodes at which directions of travel are tried
+
+
+def best(
+    problem: Observations, start: Unknowns, prior: Prior, others: list[Unknowns],
+    settings: BackEndSettings,
+) -> Adjusted | None:  # fmt: skip
+    """Adjust from a start and from others, and take the least cost; None if all diverge."""
+    found = None
+    steps = settings.first_steps if others else settings.steps
+    for x in (start, *others):
+        try:
+            made = adjust(problem, x, prior, settings.outlier, steps, settings.depths)
+        except np.linalg.LinAlgError:
+            continue
+        if found is None or made.cost < found.cost:
+            found = made
+    return found
+
+
+def starts(
+    t: Times, x: Unknowns, measured: tuple[Measured, ...], settings: BackEndSettings, *, first: bool
+) -> list[Unknowns]:
+    """List other starts while the memory fills: as measured, at one place, and directions.
+
+    Args:
+        t: (K,) ns of the nodes.
+        x: the start that goes on from the last adjustment.
+        measured: velocities of windows.
+        settings: of the back end.
+        first: whether there is no last adjustment.
+    """
+    if len(t) >= settings.slices:
+        return []
+    depths = np.ones(len(x.inverse_depth))
+    found = []
+    if measured:
+        nearest = np.abs(np.array([m.t for m in measured]) - t[:, None]).argmin(axis=1)
+        angular = np.array([measured[n].angular for n in nearest])
+        linear = settings.start_speed * np.array([measured[n].direction for n in nearest])
+        found = [along(t, angular, direction * linear, depths) for direction in (1.0, 0.0)]
+    if first or len(t) in _TRIED_AT:
+        still = along(t, x.angular, np.zeros((len(t), 3)), depths)
+        for direction in _sphere(settings.directions):
+            velocity = np.tile(settings.start_speed * direction, (len(t), 1))
+            seconds = (t - t[-1])[:, None] * 1e-9
+            found.append(
+                still._replace(rotation=x.rotation, position=seconds * velocity, velocity=velocity)
+            )
+    return found
+
+
+def rotating(
+    problem: Observations, travelling: Adjusted, prior: Prior, settings: BackEndSettings
+) -> tuple[Adjusted, float] | None:
+    """Adjust a camera that only rotates; return what a patch costs more than in travel.
+
+    None if that diverges.
+    """
+    try:
+        made = adjust(
+            problem, travelling.x, prior, settings.outlier, settings.first_steps, settings.depths,
+            travels=False,
+        )  # fmt: skip
+    except np.linalg.LinAlgError:
+        return None
+    return made, (made.cost - travelling.cost) / max(1, len(problem.anchor))
+
+
+def _sphere(count: int) -> Iterator[Array]:
+    """Unit vectors spread evenly over the sphere (a Fibonacci lattice)."""
+    for k in range(count):
+        z = 1 - (2 * k + 1) / count
+        azimuth, radius = np.pi * (1 + np.sqrt(5)) * (k + 0.5), np.sqrt(1 - z * z)
+        yield np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), z])

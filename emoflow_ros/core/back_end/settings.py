@@ -1,0 +1,68 @@
+"""Numbers that tune the back end: one table."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class BackEndSettings:
+    """How the motion is adjusted to the places of patches.
+
+    All were chosen on random recordings and those of another simulator (docs/experiments.md).
+    Lengths are in mean depths of the scene, so that nothing scales with the scene.
+
+    Attributes:
+        slices: nodes of the adjustment.
+        fewest_patches: with fewer there is no adjustment.
+        outlier: distance in standard deviations from which a place counts little.
+        angular_walk_deg, velocity_walk: random walk of angular velocity, deg/s per square root of
+            a second, and of velocity, 1/s per square root of a second, before anything is known.
+        learning: share of the newest evidence in what is learnt of them.
+        learnt_excess: factor on what is learnt: cameras move by fits and starts.
+        angular_walks_deg, velocity_walks: least and largest of them.
+        speed_sd: standard deviation of each component of the velocity, 1/s.
+        depth_sd: of an inverse depth around the mean one.
+        depths: least and largest inverse depth.
+        lattice_sd_deg: added to the covariance of the lattice's angular velocity, deg/s:
+            successive windows overlap.
+        rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
+        rotation_slices: over whose mean that is decided.
+        directions: of travel that are tried while the memory fills.
+        start_speed: of these, 1/s.
+        expected_cost: mean robust cost of an observation where the covariance is right.
+        least_cost: over that: fewer errors than expected are not believed.
+        disagreement: share of the squared difference to the lattice's angular velocity that is
+            added to the covariance.
+        widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
+        steps, first_steps: of the adjustment, from the last one and from a guess.
+    """
+
+    slices: int = 12
+    fewest_patches: int = 12
+    outlier: float = 2.0
+    angular_walk_deg: float = 40.0
+    velocity_walk: float = 1.5
+    learning: float = 0.3
+    learnt_excess: float = 2.0
+    angular_walks_deg: tuple[float, float] = (10.0, 400.0)
+    velocity_walks: tuple[float, float] = (0.3, 5.0)
+    speed_sd: float = 2.0
+    depth_sd: float = 1.0
+    depths: tuple[float, float] = (0.02, 8.0)
+    lattice_sd_deg: float = 1.0
+    rotation_cost: float = 1.25
+    rotation_slices: int = 6
+    directions: int = 18
+    start_speed: float = 0.3
+    expected_cost: float = 0.25
+    least_cost: float = 0.5
+    disagreement: float = 0.2
+    widest_direction_deg: float = 60.0
+    steps: int = 8
+    first_steps: int = 12
+
+    @property
+    def angular_walk(self) -> float:
+        """Power spectral density that the walk of the angular velocity starts with, rad^2/s^3."""
+        return float(np.radians(self.angular_walk_deg)) ** 2

@@ -1,0 +1,136 @@
+"""The camera's way over the nodes: carried on, centred, put together, and read off at a time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.back_end.adjustment import Adjusted
+from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, turned
+from emoflow_ros.core.events import NS_PER_S
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MotionAt:
+    """The motion at one time, in the camera's frame of that time.
+
+    Attributes:
+        angular: (3,) rad/s.
+        linear: (3,) mean depths per second; zeros where the camera only rotates.
+        covariance: (6, 6) of (linear, angular).
+    """
+
+    angular: Array
+    linear: Array
+    covariance: Array
+
+
+def first_node(angular: Array, velocity: Array) -> Unknowns:
+    """Begin a way: one node at the origin, with its velocities (3,)."""
+    return Unknowns(
+        np.eye(3)[None], np.zeros((1, 3)), angular[None].copy(), velocity[None].copy(), np.zeros(0)
+    )
+
+
+def carried_on(x: Unknowns, seconds: float) -> Unknowns:
+    """Add a node with the velocities of the last one, and make it the common frame's origin."""
+    turn = turned(x.rotation[-1], x.angular[-1] * seconds)
+    place = x.position[-1] + x.velocity[-1] * seconds
+    return Unknowns(
+        turn.T @ np.concatenate([x.rotation, turn[None]]),
+        (np.concatenate([x.position, place[None]]) - place) @ turn,
+        np.concatenate([x.angular, x.angular[-1:]]),
+        np.concatenate([x.velocity, x.velocity[-1:]]) @ turn,
+        x.inverse_depth,
+    )
+
+
+def latest(x: Unknowns, nodes: int) -> Unknowns:
+    """Keep the latest nodes."""
+    return Unknowns(
+        x.rotation[-nodes:], x.position[-nodes:], x.angular[-nodes:], x.velocity[-nodes:],
+        x.inverse_depth,
+    )  # fmt: skip
+
+
+def along(t: Times, angular: Array, linear: Array, inverse_depth: Array) -> Unknowns:
+    """Put a way together from velocities in the camera's frame at each node, (K, 3) each.
+
+    Args:
+        t: (K,) ns of the nodes.
+        angular: rad/s.
+        linear: mean depths per second.
+        inverse_depth: (J,) of the patches.
+    """
+    rotation, position = np.empty((len(t), 3, 3)), np.empty((len(t), 3))
+    velocity = np.empty((len(t), 3))
+    rotation[-1], position[-1], velocity[-1] = np.eye(3), 0.0, linear[-1]
+    for k in range(len(t) - 2, -1, -1):
+        seconds = (t[k + 1] - t[k]) / NS_PER_S
+        rotation[k] = turned(rotation[k + 1], -angular[k] * seconds)
+        velocity[k] = rotation[k] @ linear[k]
+        position[k] = position[k + 1] - velocity[k] * seconds
+    return Unknowns(rotation, position, angular, velocity, inverse_depth)
+
+
+def motion_at(times: Times, adjusted: Adjusted, t: int) -> MotionAt:
+    """Read the motion off at a time, as `interpolated`, with its covariance."""
+    angular, linear, (node, share, rotation) = interpolated(times, adjusted.x, t)
+    by_unknowns = np.zeros((NODE * len(times), 6))
+    for k, weight in ((node, 1 - share), (node + 1, share)):
+        rates = NODE * k + 6
+        by_unknowns[rates : rates + 3, 3:] = weight * np.eye(3)
+        by_unknowns[rates + 3 : rates + 6, :3] = weight * rotation
+    chosen = by_unknowns[adjusted.free]
+    return MotionAt(angular, linear, chosen.T @ adjusted.covariance @ chosen)
+
+
+def interpolated(
+    times: Times, x: Unknowns, t: int
+) -> tuple[Array, Array, tuple[int, float, Array]]:
+    """Interpolate velocities at a time, linear between the nodes and held beyond them.
+
+    Args:
+        times: (K,) ns of the nodes, K > 1.
+        x: the way.
+        t: ns.
+
+    Returns:
+        Angular velocity (3,) rad/s and velocity (3,) in mean depths per second, both in the
+        camera's frame; node before t, share of the way to the next one, and rotation (3, 3) then.
+    """
+    t = int(np.clip(t, times[0], times[-1]))
+    node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
+    share = float((t - times[node]) / (times[node + 1] - times[node]))
+    angular = (1 - share) * x.angular[node] + share * x.angular[node + 1]
+    rotation = turned(x.rotation[node], angular * ((t - times[node]) / NS_PER_S))
+    velocity = (1 - share) * x.velocity[node] + share * x.velocity[node + 1]
+    return angular, rotation.T @ velocity, (node, share, rotation)
+
+
+@dataclass(frozen=True)
+class AdjustedMotion:
+    """Motion over the nodes of an adjustment (a Motion).
+
+    Attributes:
+        times: (K,) ns.
+        adjusted: the way.
+        travels: whether the direction of travel is known.
+    """
+
+    times: Times
+    adjusted: Adjusted
+    travels: bool
+
+    def angular(self, t: int) -> Array:
+        """Angular velocity at time t (ns), (3,) rad/s."""
+        return interpolated(self.times, self.adjusted.x, t)[0]
+
+    def linear(self, t: int) -> Array:
+        """Direction of the linear velocity at time t (ns), (3,) unit, or zeros."""
+        linear = interpolated(self.times, self.adjusted.x, t)[1]
+        norm = float(np.linalg.norm(linear))
+        return linear / norm if self.travels and norm > 0 else np.zeros(3)

@@ -1,0 +1,272 @@
+"""Compiled loops that choose patches and find them again."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
+
+_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+
+
+@_compiled
+def cut(image: F32, points: F64, radius: int) -> F32:
+    """Cut patches (N, 2 radius + 1, 2 radius + 1) around points (N, 2), zero off the image."""
+    side = 2 * radius + 1
+    out = np.zeros((len(points), side, side), np.float32)
+    for n in range(len(points)):
+        _sample(image, points[n, 0] - radius, points[n, 1] - radius, out[n])
+    return out
+
+
+@_compiled
+def _sample(image: F32, left: float, top: float, out: F32) -> None:
+    """Sample an image bilinearly at whole steps from (left, top) on; zero off the image."""
+    h, w = image.shape
+    side = out.shape[0]
+    i0, j0 = math.floor(top), math.floor(left)
+    f, g = np.float32(left - j0), np.float32(top - i0)
+    h11 = f * g
+    h10, h01 = f - h11, g - h11
+    h00 = np.float32(1) - f - h01
+    if i0 < 0 or j0 < 0 or i0 + side >= h or j0 + side >= w:
+        for i in range(side):
+            for j in range(side):
+                y, x = i0 + i, j0 + j
+                if y < 0 or x < 0 or y + 1 >= h or x + 1 >= w:
+                    out[i, j] = np.float32(0)
+                else:
+                    out[i, j] = h00 * image[y, x] + h10 * image[y, x + 1]
+                    out[i, j] += h01 * image[y + 1, x] + h11 * image[y + 1, x + 1]
+        return
+    for i in range(side):
+        upper, lower = image[i0 + i], image[i0 + i + 1]
+        for j in range(side):
+            k = j0 + j
+            out[i, j] = (h00 * upper[k] + h10 * upper[k + 1]) + (
+                h01 * lower[k] + h11 * lower[k + 1]
+            )
+
+
+@_compiled
+def align(
+    templates: F32, gains: F64, image: F32, along_x: F32, along_y: F32,
+    start: F64, reach: float, steps: int, position: F64, information: F64, correlation: F64,
+) -> None:  # fmt: skip
+    """Shift each template to where it fits an image best: Gauss-Newton with a free gain.
+
+    Minimises sum W (g T - J(x + p))^2 over p and the gain g (Baker and Matthews, IJCV 2004), W
+    a Gaussian of 0.6 of the patch's radius.
+
+    Args:
+        templates: (N, side, side).
+        gains: (N,) sign of the template.
+        image, along_x, along_y: (h, w) the image and its slopes.
+        start: (N, 2) px, where each template's middle is expected.
+        reach: standard deviation of that, px: along an edge a template stays there.
+        steps: at most.
+        position: (N, 2) px, written.
+        information: (N, 2, 2) px^-2 of the position, by the residual's variance, written.
+        correlation: (N,) normalised, in [-1, 1], written.
+    """
+    side = templates.shape[1]
+    radius = side // 2
+    weights = np.empty((side, side), np.float32)
+    total = np.float32(0)
+    for i in range(side):
+        for j in range(side):
+            squared = (i - radius) ** 2 + (j - radius) ** 2
+            weights[i, j] = np.float32(math.exp(-squared / (2 * (0.6 * radius) ** 2)))
+            total += weights[i, j]
+    now, slope_x, slope_y = np.empty((3, side, side), np.float32)
+    for n in range(len(templates)):
+        template = templates[n]
+        x, y = start[n, 0], start[n, 1]
+        squares = np.float32(1e-9)
+        for i in range(side):
+            for j in range(side):
+                squares += weights[i, j] * template[i, j] * template[i, j]
+        for _ in range(steps):
+            _sample(image, x - radius, y - radius, now)
+            _sample(along_x, x - radius, y - radius, slope_x)
+            _sample(along_y, x - radius, y - radius, slope_y)
+            product, power, a, b, c, tx, ty, jx, jy = _moments(
+                template, now, slope_x, slope_y, weights, np.float32(gains[n])
+            )
+            gain = min(max(product / squares, np.float32(0.05)), np.float32(20))
+            e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
+            e = e / (total * np.float32(INDEPENDENT * reach * reach))
+            rx = gain * tx - jx + e * (start[n, 0] - x)
+            ry = gain * ty - jy + e * (start[n, 1] - y)
+            det = (a + e) * (c + e) - b * b
+            dx, dy = ((c + e) * rx - b * ry) / det, ((a + e) * ry - b * rx) / det
+            length = math.sqrt(dx * dx + dy * dy)
+            if length > 1.5:
+                dx, dy = dx * 1.5 / length, dy * 1.5 / length
+            x, y = x + dx, y + dy
+            if length < 0.02:
+                break
+        _sample(image, x - radius, y - radius, now)
+        _sample(along_x, x - radius, y - radius, slope_x)
+        _sample(along_y, x - radius, y - radius, slope_y)
+        position[n, 0], position[n, 1] = x, y
+        correlation[n] = _judge(
+            template, now, slope_x, slope_y, weights, total, squares, np.float32(gains[n]),
+            information[n],
+        )  # fmt: skip
+
+
+@_compiled
+def _judge(
+    template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, total: np.float32,
+    squares: np.float32, sign: np.float32, information: F64,
+) -> float:  # fmt: skip
+    """Write the information on a patch's place, and return its correlation.
+
+    With the slopes S of what both images show and J' of the new one with its noise, a place that
+    minimises the squares has the covariance (S S)^-1 (sigma^2 J' J') (S S)^-1. The noise of two
+    slices is independent, so that S S is the mean of T' J': along an edge it vanishes, where
+    J' J' does not.
+    """
+    product, power = np.float32(0), np.float32(1e-9)
+    a = b = c = p = q = r = np.float32(0)
+    side = template.shape[0]
+    half = np.float32(0.5)
+    for i in range(side):
+        for j in range(side):
+            w, t, value = weights[i, j], sign * template[i, j], now[i, j]
+            product += w * t * value
+            power += w * value * value
+            if 0 < i < side - 1 and 0 < j < side - 1:
+                jx, jy = slope_x[i, j], slope_y[i, j]
+                tx = half * sign * (template[i, j + 1] - template[i, j - 1])
+                ty = half * sign * (template[i + 1, j] - template[i - 1, j])
+                a += w * jx * jx
+                b += w * jx * jy
+                c += w * jy * jy
+                p += w * tx * jx
+                q += w * half * (tx * jy + ty * jx)
+                r += w * ty * jy
+    gain = product / squares
+    variance = max(power - gain * product, np.float32(1e-6) * power) / total
+    p, q, r = gain * p, gain * q, gain * r
+    # its negative part is chance
+    mean, apart = half * (p + r), math.sqrt((half * (p - r)) ** 2 + q * q)
+    high = max(mean + apart, np.float32(0))
+    low = max(mean - apart - np.float32(0.15) * high, np.float32(0))
+    if apart > 0:
+        share = (high - low) / (2 * apart)
+        middle = half * (high + low)
+        p, q, r = middle + share * (p - mean), share * q, middle + share * (r - mean)
+    det = max((a * c - b * b) * variance, np.float32(1e-12))
+    # S (J' J')^-1 S
+    m00, m01 = (p * c - q * b) / det, (q * a - p * b) / det
+    m10, m11 = (q * c - r * b) / det, (r * a - q * b) / det
+    information[0, 0] = m00 * p + m01 * q
+    information[0, 1] = information[1, 0] = m00 * q + m01 * r
+    information[1, 1] = m10 * q + m11 * r
+    return float(product) / math.sqrt(squares * power)
+
+
+@_compiled
+def _moments(
+    template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, sign: np.float32
+) -> tuple[np.float32, ...]:
+    """Weighted sums of T J, J J, Jx Jx, Jx Jy, Jy Jy, T Jx, T Jy, J Jx and J Jy."""
+    product = power = a = b = c = tx = ty = jx = jy = np.float32(0)
+    side = template.shape[0]
+    for i in range(side):
+        for j in range(side):
+            w, t = weights[i, j], sign * template[i, j]
+            wx, wy, value = w * slope_x[i, j], w * slope_y[i, j], now[i, j]
+            product += w * t * value
+            power += w * value * value
+            a += wx * slope_x[i, j]
+            b += wx * slope_y[i, j]
+            c += wy * slope_y[i, j]
+            tx += wx * t
+            ty += wy * t
+            jx += wx * value
+            jy += wy * value
+    return product, power, a, b, c, tx, ty, jx, jy
+
+
+@_compiled
+def corners(score: F32, taken: F64, distance: int, border: int, least: float, most: int) -> F64:
+    """Choose the highest scores that lie apart from each other and from points that are taken.
+
+    Args:
+        score: (h, w).
+        taken: (N, 2) px.
+        distance: least distance along x or y, px.
+        border: width of the image's border without points, px.
+        least: score of a point at least.
+        most: number of points at most.
+
+    Returns:
+        (M, 2) px, M <= most, the highest score first.
+    """
+    h, w = score.shape
+    free = np.zeros((h, w), np.bool_)
+    free[border : h - border, border : w - border] = True
+    for n in range(len(taken)):
+        j, i = round(taken[n, 0]), round(taken[n, 1])
+        free[max(0, i - distance) : max(0, i + distance + 1),
+             max(0, j - distance) : max(0, j + distance + 1)] = False  # fmt: skip
+    count = 0
+    where, value = np.empty(h * w, np.int64), np.empty(h * w, np.float32)
+    for i in range(max(1, border), h - max(1, border)):
+        for j in range(max(1, border), w - max(1, border)):
+            s = score[i, j]
+            if s > least and free[i, j]:
+                peak = s >= score[i, j - 1] and s >= score[i - 1, j]
+                if peak and s > score[i, j + 1] and s > score[i + 1, j]:
+                    where[count], value[count] = i * w + j, s
+                    count += 1
+    order = np.argsort(-value[:count])
+    chosen = np.empty((most, 2))
+    found = 0
+    for k in order:
+        i, j = where[k] // w, where[k] % w
+        if found == most:
+            break
+        if free[i, j]:
+            chosen[found, 0], chosen[found, 1] = j, i
+            found += 1
+            free[max(0, i - distance) : i + distance + 1,
+                 max(0, j - distance) : j + distance + 1] = False  # fmt: skip
+    return chosen[:found]
+
+
+@_compiled
+def products(along_x: F32, along_y: F32) -> F32:
+    """Products of slopes xx, xy and yy, (3, h, w)."""
+    h, w = along_x.shape
+    out = np.empty((3, h, w), np.float32)
+    for i in range(h):
+        for j in range(w):
+            x, y = along_x[i, j], along_y[i, j]
+            out[0, i, j], out[1, i, j], out[2, i, j] = x * x, x * y, y * y
+    return out
+
+
+@_compiled
+def cornerness(tensor: F32, edge_share: float) -> F32:
+    """Smaller eigenvalue of a structure tensor (3, h, w) plus a share of its trace, (h, w).
+
+    Shi and Tomasi, CVPR 1994; the share lets edges take part where there are no corners.
+    """
+    _, h, w = tensor.shape
+    out = np.empty((h, w), np.float32)
+    for i in range(h):
+        for j in range(w):
+            a, b, c = tensor[0, i, j], tensor[1, i, j], tensor[2, i, j]
+            mean, half = np.float32(0.5) * (a + c), np.float32(0.5) * (a - c)
+            smaller = mean - math.sqrt(half * half + b * b)
+            out[i, j] = smaller + np.float32(edge_share) * (a + c)
+    return out

@@ -1,0 +1,247 @@
+"""Patches of slices, found again in later ones by their first appearance."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.front_end.patch_kernels import (
+    INDEPENDENT,
+    align,
+    cornerness,
+    corners,
+    cut,
+    products,
+)
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slices import GRID_PX, Picture, Slice
+from emoflow_ros.core.lattice_kernels import bilinear
+from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+_RADIUS, _RADIUS_HALF = 9, 8  # of a patch, px of its scale
+_STEPS, _STEPS_HALF = 12, 6  # of its search at each scale
+_TENSOR_TAPS = outwards(gaussian(4.0))
+_HIGH = 0.995  # quantile that scores are measured by
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Patches that are followed, and where they were in the last K slices.
+
+    Attributes:
+        born: (N,) ns, the slice of the first appearance.
+        full, half: (N, side, side) first appearance at full and at half resolution.
+        flow: (N, 2) px/s at that time.
+        place: (N, 2) px of the tracking image, where it was seen last.
+        seen: (N, K, 2) on the undistorted normalised plane.
+        root: (N, K, 2, 2) square root of the information there.
+        found: (N, K) whether it was seen.
+        inverse_depth: (N,) at the first of the slices that shows it, over the mean one; NaN where
+            nothing is known.
+    """
+
+    born: Index
+    full: F32
+    half: F32
+    flow: Array
+    place: Array
+    seen: Array
+    root: Array
+    found: Mask
+    inverse_depth: Array
+
+    def __len__(self) -> int:
+        return len(self.born)
+
+    @classmethod
+    def none(cls) -> "Patches":
+        """No patches, no slices."""
+        side, side_half = 2 * _RADIUS + 1, 2 * _RADIUS_HALF + 1
+        return cls(
+            np.zeros(0, np.int64),
+            np.zeros((0, side, side), np.float32),
+            np.zeros((0, side_half, side_half), np.float32),
+            np.zeros((0, 2)),
+            np.zeros((0, 2)),
+            np.zeros((0, 0, 2)),
+            np.zeros((0, 0, 2, 2)),
+            np.zeros((0, 0), np.bool_),
+            np.zeros(0),
+        )
+
+    @property
+    def alive(self) -> Mask:
+        """Those that the newest slice shows, (N,)."""
+        return self.found[:, -1] if self.found.shape[1] else np.zeros(len(self), np.bool_)
+
+    @property
+    def first(self) -> Index:
+        """The first slice that shows each, (N,)."""
+        return self.found.argmax(axis=1)
+
+    @property
+    def second(self) -> Index:
+        """The first slice after the oldest one that shows each, (N,)."""
+        return 1 + self.found[:, 1:].argmax(axis=1)
+
+    def at(self, chosen: Mask) -> "Patches":
+        """Those of a mask (N,)."""
+        return Patches(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+    def without_first(self, depths: Array) -> "Patches":
+        """Forget the oldest slice, and patches that no other one shows.
+
+        Args:
+            depths: (N,) inverse depths at the next slice that shows them.
+        """
+        moved = self.found[:, 0]
+        kept = replace(
+            self,
+            seen=self.seen[:, 1:],
+            root=self.root[:, 1:],
+            found=self.found[:, 1:],
+            inverse_depth=np.where(moved, depths, self.inverse_depth),
+        )
+        return kept.at(kept.found.any(axis=1))
+
+    def extended(self, place: Array, seen: Array, root: Array, found: Mask) -> "Patches":
+        """Add a slice: (N, 2) px, (N, 2), (N, 2, 2) and (N,)."""
+        return replace(
+            self,
+            place=np.where(found[:, None], place, self.place),
+            seen=np.concatenate([self.seen, seen[:, None]], axis=1),
+            root=np.concatenate([self.root, root[:, None]], axis=1),
+            found=np.concatenate([self.found, found[:, None]], axis=1),
+        )
+
+    def joined(self, others: "Patches") -> "Patches":
+        """These and others of as many slices."""
+        both = ((getattr(self, f.name), getattr(others, f.name)) for f in fields(self))
+        return Patches(*(np.concatenate(pair) for pair in both))
+
+
+def flow_at(flow: F32, points: Array) -> Array:
+    """Interpolate a slice's flow (rows, columns, 2) at points (N, 2) px."""
+    per_px = np.full(2, 1.0 / GRID_PX, np.float32)
+    nodes = np.ascontiguousarray(flow.transpose(1, 0, 2), np.float64)
+    return np.asarray(bilinear(nodes, points, per_px))
+
+
+def follow(
+    patches: Patches, picture: Slice, expected: Array, camera: Camera, settings: FrontEndSettings
+) -> Patches:
+    """Find patches again in a new slice.
+
+    A patch is looked for at half, then at full resolution, with the sign that the flow gives it:
+    an edge that goes back fires with the other polarity.
+
+    Args:
+        patches: of the slices before.
+        picture: the new one.
+        expected: (N, 2) px, where the patches should be; NaN where not to look.
+        camera: of the tracking image.
+        settings: of the front end.
+    """
+    place, information = np.zeros((len(patches), 2)), np.zeros((len(patches), 2, 2))
+    found = np.zeros(len(patches), np.bool_)
+    size = np.array(camera.size)
+    inside = ((expected > 0) & (expected < size)).all(axis=1)
+    look = np.flatnonzero(patches.alive & inside)
+    if len(look):
+        begin, reach = expected[look], settings.expected_px
+        with_flow = (patches.flow[look] * flow_at(picture.flow, begin)).sum(axis=1)
+        sign = np.where(with_flow < 0, -1.0, 1.0)
+        near, _, _ = _align(
+            patches.half[look], sign, picture.half, begin / 2 - 0.25, reach / 2, _STEPS_HALF
+        )
+        near = 2 * near + 0.5
+        close = _distance(near, begin) < settings.coarse_reach_px
+        near = np.where(close[:, None], near, begin)
+        at, weight, correlation = _align(
+            patches.full[look], sign, picture.full, near, reach, _STEPS
+        )
+        good = (correlation > settings.correlation) & (_distance(at, begin) < settings.reach_px)
+        good &= ((at > settings.border_px) & (at < size - settings.border_px)).all(axis=1)
+        place[look], information[look], found[look] = at, weight, good
+    age = (picture.t - patches.born) / NS_PER_S
+    seen, root = on_plane(camera, place, information, age, settings)
+    return patches.extended(place, seen, root, found & np.isfinite(seen).all(axis=1))
+
+
+def on_plane(
+    camera: Camera, place: Array, information: Array, age: Array, settings: FrontEndSettings
+) -> tuple[Array, Array]:
+    """Bring positions (N, 2) px and their information (N, 2, 2) to the normalised plane.
+
+    Neighbouring pixels' residuals go together, so that only a share of the information counts; and
+    appearance changes with the time since the first one, age (N,) s.
+
+    Returns:
+        (N, 2) bearings, NaN where the lens has none, and (N, 2, 2) square roots of the information.
+    """
+    seen, jacobian = camera.undistort(place)
+    value, vector = np.linalg.eigh(information)
+    noise = settings.noise_px**2 * (1 + settings.ageing * age)
+    variance = 1 / np.maximum(INDEPENDENT * value, 1e-6) + noise[:, None]
+    root = (vector / np.sqrt(variance)[:, None, :]).transpose(0, 2, 1)
+    return seen, root @ np.linalg.inv(np.where(np.isfinite(jacobian), jacobian, np.eye(2)))
+
+
+def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndSettings) -> Patches:
+    """Choose new patches where a slice has structure and none is followed, and add them.
+
+    Args:
+        picture: the newest slice.
+        patches: followed up to it.
+        camera: of the tracking image.
+        settings: of the front end.
+    """
+    taken = patches.place[patches.alive]
+    most = settings.most_patches - len(taken)
+    if most <= 0:
+        return patches
+    tensor = products(picture.full.along_x, picture.full.along_y)
+    smooth(tensor, _TENSOR_TAPS)
+    score = cornerness(tensor, settings.edge_share)
+    high = int(_HIGH * score.size)
+    least = settings.least_score * float(np.partition(score.ravel(), high)[high])
+    points = corners(score, taken, settings.distance_px, settings.border_px + 2, least, most)
+    bearing, _ = camera.undistort(points)
+    points, bearing = (a[np.isfinite(bearing).all(axis=1)] for a in (points, bearing))
+    count, slices = len(points), max(1, patches.found.shape[1])
+    seen, root = np.zeros((count, slices, 2)), np.zeros((count, slices, 2, 2))
+    found = np.zeros((count, slices), np.bool_)
+    seen[:, -1], found[:, -1] = bearing, True
+    new = Patches(
+        np.full(count, picture.t),
+        cut(picture.full.image, points, _RADIUS),
+        cut(picture.half.image, points / 2 - 0.25, _RADIUS_HALF),
+        flow_at(picture.flow, points),
+        points, seen, root, found, np.full(count, np.nan),
+    )  # fmt: skip
+    return patches.joined(new) if patches.found.shape[1] else new
+
+
+def _align(
+    templates: F32, sign: Array, picture: Picture, begin: Array, reach: float, steps: int
+) -> tuple[Array, Array, Array]:
+    """Places (N, 2), information (N, 2, 2) and correlations (N,) of templates in a picture."""
+    count = len(templates)
+    place, information = np.empty((count, 2)), np.empty((count, 2, 2))
+    correlation = np.empty(count)
+    align(
+        templates, sign, picture.image, picture.along_x, picture.along_y,
+        np.ascontiguousarray(begin), reach, steps, place, information, correlation,
+    )  # fmt: skip
+    return place, information, correlation
+
+
+def _distance(a: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.norm(a - b, axis=1))

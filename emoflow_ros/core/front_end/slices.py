@@ -1,0 +1,85 @@
+"""Slices of the stream drawn as signed images, each event moved to the slice's middle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.front_end.slice_kernels import draw_signed, halve, slope
+from emoflow_ros.core.smoothing import gaussian, outwards
+
+F32 = NDArray[np.float32]
+
+GRID_PX = 8  # distance of the nodes of a slice's flow, px of the working image
+_TAPS = outwards(gaussian(0.8))
+
+
+@dataclass(frozen=True)
+class SliceEvents:
+    """Events of one slice in the pixels of the working image.
+
+    Attributes:
+        t: the slice's middle, ns.
+        x, y: (N,) px.
+        dt: (N,) time from the event to the slice's middle, s.
+        sign: (N,) +1 for ON, -1 for OFF.
+    """
+
+    t: int
+    x: F32
+    y: F32
+    dt: F32
+    sign: F32
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image at one scale with its slopes, (h, w) each."""
+
+    image: F32
+    along_x: F32
+    along_y: F32
+
+    @classmethod
+    def of(cls, image: F32) -> "Picture":
+        """Take the slopes of an image by central differences."""
+        return cls(image, *slope(image))
+
+
+@dataclass(frozen=True)
+class Slice:
+    """What a slice of events looks like at its middle.
+
+    Attributes:
+        t: its middle, ns.
+        full, half: at full and at half resolution. Pixel (x, y) of the half lies at
+            (2 x + 0.5, 2 y + 0.5) of the full.
+        flow: (rows, columns, 2) px/s, that the events were moved along, at nodes GRID_PX apart.
+        sharpness: sum of the squares of the full image.
+    """
+
+    t: int
+    full: Picture
+    half: Picture
+    flow: F32
+    sharpness: float
+
+
+def grid_size(width: int, height: int) -> tuple[int, int]:
+    """Rows and columns of the nodes of a flow that cover an image."""
+    return -(-(height - 1) // GRID_PX) + 1, -(-(width - 1) // GRID_PX) + 1
+
+
+def draw(events: SliceEvents, flow: F32, size: tuple[int, int]) -> Slice:
+    """Draw events moved along a flow to the slice's middle.
+
+    Args:
+        events: of the slice.
+        flow: (rows, columns, 2) px/s at nodes GRID_PX apart.
+        size: width and height of the working image.
+    """
+    image = draw_signed(
+        events.x, events.y, events.dt, events.sign, flow, GRID_PX, size[0], size[1], _TAPS
+    )
+    small = halve(image)
+    return Slice(events.t, Picture.of(image), Picture.of(small), flow, float((image**2).sum()))

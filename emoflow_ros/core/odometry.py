@@ -1,0 +1,224 @@
+"""Camera motion from a memory of positions (docs/method.md).
+
+Slices of the stream are drawn as images, patches of their first appearance are found again in
+later ones, and poses, velocities and depths are adjusted to their places. `step` is all of it.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.back_end.adjustment import Adjusted
+from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
+from emoflow_ros.core.back_end.evidence import Measured, observations, prior
+from emoflow_ros.core.back_end.search import best, rotating, starts
+from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.trajectory import MotionAt, carried_on, first_node, latest, motion_at
+from emoflow_ros.core.back_end.walks import Walks
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slices import Slice, SliceEvents, draw
+from emoflow_ros.core.scene import Grid, depths_now, expected_places, rigid_flow
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Hint:
+    """What the flow lattice says of a slice.
+
+    Attributes:
+        flow: (rows, columns, 2) px/s of the tracking image at the slice's time.
+        angular, direction: (3,) of its window; the direction is zero where unknown.
+        measured: the window's motion as evidence; None where it was taken before.
+    """
+
+    flow: F32
+    angular: Array
+    direction: Array
+    measured: Measured | None
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that outlives a slice.
+
+    Attributes:
+        t: (K,) ns, the nodes.
+        x: their motion; the depths are the patches'. None before the first slice.
+        patches: that are followed.
+        measured: motions of windows within the nodes.
+        walks: how restless the camera is.
+        costs: what a patch costs more if the camera only rotates, of the last slices.
+        adjusted: the last adjustment; None while patches are too few.
+    """
+
+    walks: Walks
+    t: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    x: Unknowns | None = None
+    patches: Patches = field(default_factory=Patches.none)
+    measured: tuple[Measured, ...] = ()
+    costs: tuple[float, ...] = ()
+    adjusted: Adjusted | None = None
+
+    def motion(self, t: int) -> MotionAt | None:
+        """The motion at a time (ns); None while nothing is adjusted."""
+        return None if self.adjusted is None else motion_at(self.t, self.adjusted, t)
+
+
+class Odometry:
+    """Steps from slice to slice.
+
+    Args:
+        camera: of the tracking image.
+        front: settings of the front end.
+        back: settings of the back end.
+    """
+
+    def __init__(
+        self, camera: Camera, front: FrontEndSettings | None = None,
+        back: BackEndSettings | None = None,
+    ) -> None:  # fmt: skip
+        self.camera = camera
+        self.front = front or FrontEndSettings()
+        self.back = back or BackEndSettings()
+        self.grid = Grid.of(camera)
+
+    def start(self) -> State:
+        """A state that knows nothing."""
+        return State(Walks.unknown(self.back))
+
+    def step(self, state: State, events: SliceEvents, hint: Hint) -> State:
+        """Take one slice: draw it, find the patches again, adjust, and choose new patches.
+
+        Args:
+            state: of the slices before.
+            events: of the slice.
+            hint: the lattice's flow and motion.
+        """
+        if state.x is None:
+            return self._begin(state, events, hint)
+        seconds = (events.t - state.t[-1]) / NS_PER_S
+        ahead = self._carried_on(state, hint, seconds)
+        picture, own = self._draw(ahead, events, hint)
+        expected = self._expected(ahead, picture, seconds, own=own)
+        patches = follow(ahead.patches, picture, expected, self.camera, self.front)
+        patches = choose(picture, patches, self.camera, self.front)
+        state = self._window(replace(ahead, patches=patches), events.t, hint)
+        return self._adjust(state)
+
+    def _begin(self, state: State, events: SliceEvents, hint: Hint) -> State:
+        picture = draw(events, hint.flow, self.camera.size)
+        velocity = self.back.start_speed * hint.direction
+        return replace(
+            state,
+            t=np.array([events.t]),
+            x=first_node(hint.angular, velocity),
+            patches=choose(picture, state.patches, self.camera, self.front),
+        )
+
+    def _carried_on(self, state: State, hint: Hint, seconds: float) -> State:
+        """Add a node; before the first adjustment with the lattice's motion."""
+        x = state.x
+        assert x is not None
+        if state.adjusted is None:
+            x = x._replace(angular=x.angular.copy(), velocity=x.velocity.copy())
+            x.angular[-1] = hint.angular
+            x.velocity[-1] = x.rotation[-1] @ hint.direction * self.back.start_speed
+        return replace(state, x=carried_on(x, seconds))
+
+    def _draw(self, state: State, events: SliceEvents, hint: Hint) -> tuple[Slice, bool]:
+        """Draw a slice along the lattice's flow, or the remembered scene's if that is as sharp.
+
+        Without the comparison a wrong memory would see what it expects.
+        """
+        by_lattice = draw(events, hint.flow, self.camera.size)
+        if state.adjusted is None:
+            return by_lattice, False
+        x, patches = state.x, state.patches
+        assert x is not None
+        depths = depths_now(patches, x, self.back.depths)
+        flow = rigid_flow(
+            self.grid, patches.place, depths, patches.alive, x.angular[-1], x.velocity[-1]
+        )
+        by_scene = draw(events, flow, self.camera.size)
+        if by_scene.sharpness > self.front.own_sharpness * by_lattice.sharpness:
+            return by_scene, True
+        return by_lattice, False
+
+    def _expected(self, state: State, picture: Slice, seconds: float, *, own: bool) -> Array:
+        """Where patches should be (N, 2) px: by the scene, or carried along the slice's flow."""
+        if own:
+            assert state.x is not None
+            return expected_places(self.camera, state.patches, state.x)
+        place = state.patches.place
+        middle = place + 0.5 * seconds * flow_at(picture.flow, place)
+        return place + seconds * flow_at(picture.flow, middle)
+
+    def _window(self, state: State, t: int, hint: Hint) -> State:
+        """Keep the latest nodes, and bring depths to the first of them that shows the patch."""
+        x, patches, times = state.x, state.patches, np.append(state.t, t)
+        assert x is not None
+        if len(times) > self.back.slices:
+            patches = patches.without_first(depths_now(patches, x, self.back.depths, second=True))
+            x, times = latest(x, self.back.slices), times[-self.back.slices :]
+        measured = tuple(m for m in state.measured if m.t > times[0])
+        if hint.measured is not None:
+            measured = (*measured, hint.measured)
+        return replace(state, t=times, x=x, patches=patches, measured=measured)
+
+    def _adjust(self, state: State) -> State:
+        """Adjust motion and depths to the places of the patches; decide whether it only rotates."""
+        back, patches, x = self.back, state.patches, state.x
+        used = patches.found.sum(axis=1) >= 2
+        if len(state.t) < 3 or used.sum() < back.fewest_patches or x is None:
+            return replace(state, adjusted=None)
+        some = patches.at(used)
+        problem = observations(some, back)
+        known = prior(state.t, state.measured, state.walks, back)
+        depth = np.where(np.isfinite(some.inverse_depth), some.inverse_depth, 1.0)
+        begin = x._replace(inverse_depth=depth)
+        others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
+        found = best(problem, begin, known, others, back)
+        if found is None:
+            return self.start()
+        costs = state.costs
+        turned = rotating(problem, found, known, back)
+        if turned is not None:
+            costs = (*costs, turned[1])[-back.rotation_slices :]
+            if np.mean(costs) < back.rotation_cost:
+                found = turned[0]
+        found = _unit_depth(found)
+        try:
+            walks = state.walks.learnt(found, known.seconds, back)
+        except np.linalg.LinAlgError:
+            return self.start()
+        depths = patches.inverse_depth.copy()
+        depths[used] = found.x.inverse_depth
+        return replace(
+            state,
+            x=found.x._replace(inverse_depth=np.zeros(0)),
+            patches=replace(patches, inverse_depth=depths),
+            walks=walks,
+            costs=costs,
+            adjusted=found,
+        )
+
+
+_RESCALE = (0.5, 2.0)  # by how much at most
+
+
+def _unit_depth(adjusted: Adjusted) -> Adjusted:
+    """Scale the scene so that its median inverse depth is one."""
+    x = adjusted.x
+    scale = float(np.clip(np.median(x.inverse_depth), *_RESCALE))
+    x = x._replace(
+        position=scale * x.position,
+        velocity=scale * x.velocity,
+        inverse_depth=x.inverse_depth / scale,
+    )
+    return replace(adjusted, x=x)

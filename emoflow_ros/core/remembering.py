@@ -1,0 +1,158 @@
+"""Windows with a memory: the lattice's flow, and the motion by positions (core.odometry)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.back_end.evidence import Measured
+from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, MotionModel, Status
+from emoflow_ros.core.events import NS_PER_MS, Window
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slices import GRID_PX, SliceEvents
+from emoflow_ros.core.front_end.slicing import slices
+from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.odometry import Hint, Odometry, State
+from emoflow_ros.core.preparation import WorkingImage
+from emoflow_ros.core.uncertainty import without_travel
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+
+_LONGEST_GAP_NS = 300 * NS_PER_MS  # between slices; after a longer one the memory begins anew
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What outlives a window.
+
+    Attributes:
+        odometry: nodes, patches and what they tell.
+        end: of the last slice, ns; None before the first one.
+    """
+
+    odometry: State
+    end: int | None = None
+
+
+class RememberingEstimator:
+    """Adjusts the motion to positions that are remembered, window by window (an Estimator).
+
+    The lattice gives the flow, and its motion as evidence; a window without a flow is passed on
+    as it is.
+
+    Args:
+        estimator: of the windows' flow.
+        camera: whose pixels the events lie on.
+        front: settings of the front end.
+        back: settings of the back end.
+    """
+
+    def __init__(
+        self, estimator: Estimator, camera: Camera, front: FrontEndSettings | None = None,
+        back: BackEndSettings | None = None,
+    ) -> None:  # fmt: skip
+        self._estimator = estimator
+        self._front = front or FrontEndSettings()
+        self._image = WorkingImage.of(camera, self._front.longer_side_px)
+        self._odometry = Odometry(self._image.camera, self._front, back)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._estimator.reset()
+        self._memory = self._nothing()
+
+    def estimate(self, window: Window) -> Estimate:
+        """Estimate a window's flow and motion."""
+        found = self._estimator.estimate(window)
+        self._memory, estimate = self.step(self._memory, window, found)
+        return estimate
+
+    def step(self, memory: Memory, window: Window, found: Estimate) -> tuple[Memory, Estimate]:
+        """Take the window's new slices into the memory, and read the motion off it.
+
+        Args:
+            memory: of the windows before.
+            window: its events.
+            found: what the lattice estimates of it.
+        """
+        end = memory.end
+        if end is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
+            memory, end = self._nothing(), window.t_start
+        if found.flow is None:
+            return replace(memory, end=end), found
+        state = memory.odometry
+        for events, hint in self._slices(window, end, found, found.flow):
+            state = self._odometry.step(state, events, hint)
+        motion = state.motion(found.t)
+        estimate = found if motion is None else self._read(found, state, motion)
+        return Memory(state, window.t_end), estimate
+
+    def _nothing(self) -> Memory:
+        return Memory(self._odometry.start())
+
+    def _slices(
+        self, window: Window, since: int, found: Estimate, flow: FlowSampler
+    ) -> Iterator[tuple[SliceEvents, Hint]]:
+        grid = self._on_grid(flow, found.t)
+        measured: Measured | None = self._measured(found)
+        for events in slices(
+            window.events, since, window.t_end, grid, self._image.sensor_px, self._front
+        ):
+            at = int(np.clip(events.t, found.t_start, found.t_end))
+            hint = Hint(self._on_grid(flow, at), found.angular, found.linear, measured)
+            yield events, hint
+            measured = None  # a window is evidence once
+
+    def _on_grid(self, flow: FlowSampler, t: int) -> F32:
+        """Flow at a time on the tracking image's grid, (rows, columns, 2) px/s of that image."""
+        dense = flow.velocity(t)
+        height, width = dense.shape[:2]
+        rows, columns = self._odometry.grid.a.shape[:2]
+        side_x, side_y = self._image.camera.size
+        x = np.minimum(np.arange(columns) * GRID_PX, side_x - 1) * ((width - 1) / (side_x - 1))
+        y = np.minimum(np.arange(rows) * GRID_PX, side_y - 1) * ((height - 1) / (side_y - 1))
+        chosen = dense[np.round(y).astype(int)[:, None], np.round(x).astype(int)]
+        return np.ascontiguousarray(chosen / self._image.sensor_px, np.float32)
+
+    def _measured(self, found: Estimate) -> Measured:
+        spread = np.radians(self._odometry.back.lattice_sd_deg)
+        variance = max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + spread**2
+        return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
+
+    def _read(self, found: Estimate, state: State, motion: MotionAt) -> Estimate:
+        """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
+        back, adjusted = self._odometry.back, state.adjusted
+        assert adjusted is not None
+        covariance = motion.covariance * adjusted.variance_factor(back)
+        angular, linear, model = motion.angular, np.zeros(3), MotionModel.ROTATION
+        apart = found.angular - angular
+        covariance[3:, 3:] += back.disagreement * np.outer(apart, apart)
+        if found.gyro.state is GyroState.USED:
+            angular = found.angular
+            covariance[3:, 3:] = found.covariance[3:, 3:]
+            covariance[:3, 3:] = covariance[3:, :3] = 0.0
+        speed = float(np.linalg.norm(motion.linear))
+        if adjusted.travels and speed > 0:
+            across = np.eye(6)
+            linear = motion.linear / speed
+            across[:3, :3] = (np.eye(3) - np.outer(linear, linear)) / speed
+            covariance = across @ covariance @ across.T
+            if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
+                model = MotionModel.FULL
+        if model is MotionModel.ROTATION:
+            linear, covariance = np.zeros(3), without_travel(covariance)
+        return replace(
+            found,
+            status=Status.OK,
+            model=model,
+            linear=linear,
+            angular=angular,
+            covariance=covariance,
+            motion=AdjustedMotion(state.t, adjusted, model is MotionModel.FULL),
+        )
