@@ -119,6 +119,7 @@ class Odometry:
             t=np.array([events.t]),
             x=first_node(hint.angular, velocity),
             patches=choose(picture, state.patches, self.camera, self.front),
+            measured=() if hint.measured is None else (hint.measured,),
         )
 
     def _carried_on(self, state: State, hint: Hint, seconds: float) -> State:
@@ -188,6 +189,8 @@ class Odometry:
             return self.start()
         costs = state.costs
         turned = rotating(problem, found, known, back)
+        if turned is not None and turned[1] < 0:  # travel includes it: the search went astray
+            found = best(problem, turned[0].x, known, [found.x], back) or found
         if turned is not None:
             costs = (*costs, turned[1])[-back.rotation_slices :]
             if np.mean(costs) < back.rotation_cost:

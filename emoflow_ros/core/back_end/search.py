@@ -37,7 +37,9 @@ def best(
 def starts(
     t: Times, x: Unknowns, measured: tuple[Measured, ...], settings: BackEndSettings, *, first: bool
 ) -> list[Unknowns]:
-    """List other starts while the memory fills: as measured, at one place, and directions.
+    """List other starts: as measured and at one place, and while the memory fills, directions.
+
+    Without the former a wrong memory would keep itself up: it predicts what it sees.
 
     Args:
         t: (K,) ns of the nodes.
@@ -46,8 +48,6 @@ def starts(
         settings: of the back end.
         first: whether there is no last adjustment.
     """
-    if len(t) >= settings.slices:
-        return []
     depths = np.ones(len(x.inverse_depth))
     found = []
     if measured:
@@ -55,7 +55,7 @@ def starts(
         angular = np.array([measured[n].angular for n in nearest])
         linear = settings.start_speed * np.array([measured[n].direction for n in nearest])
         found = [along(t, angular, direction * linear, depths) for direction in (1.0, 0.0)]
-    if first or len(t) in _TRIED_AT:
+    if len(t) < settings.slices and (first or len(t) in _TRIED_AT):
         still = along(t, x.angular, np.zeros((len(t), 3)), depths)
         for direction in _sphere(settings.directions):
             velocity = np.tile(settings.start_speed * direction, (len(t), 1))
@@ -75,7 +75,7 @@ def rotating(
     """
     try:
         made = adjust(
-            problem, travelling.x, prior, settings.outlier, settings.first_steps, settings.depths,
+            problem, travelling.x, prior, settings.outlier, settings.rotation_steps, settings.depths,
             travels=False,
         )  # fmt: skip
     except np.linalg.LinAlgError:

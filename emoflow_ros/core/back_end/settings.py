@@ -35,7 +35,8 @@ class BackEndSettings:
         disagreement: share of the squared difference to the lattice's angular velocity that is
             added to the covariance.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
-        steps, first_steps: of the adjustment, from the last one and from a guess.
+        steps, first_steps, rotation_steps: of the adjustment at most: from the last one, from a
+            guess, and of a camera that only rotates.
     """
 
     slices: int = 12
@@ -49,7 +50,7 @@ class BackEndSettings:
     velocity_walks: tuple[float, float] = (0.3, 5.0)
     speed_sd: float = 2.0
     depth_sd: float = 1.0
-    depths: tuple[float, float] = (0.02, 8.0)
+    depths: tuple[float, float] = (0.01, 20.0)
     lattice_sd_deg: float = 1.0
     rotation_cost: float = 1.25
     rotation_slices: int = 6
@@ -59,8 +60,9 @@ class BackEndSettings:
     least_cost: float = 0.5
     disagreement: float = 0.2
     widest_direction_deg: float = 60.0
-    steps: int = 8
+    steps: int = 10
     first_steps: int = 12
+    rotation_steps: int = 6
 
     @property
     def angular_walk(self) -> float:
