@@ -75,8 +75,8 @@ def rotating(
     """
     try:
         made = adjust(
-            problem, travelling.x, prior, settings.outlier, settings.rotation_steps, settings.depths,
-            travels=False,
+            problem, travelling.x, prior, settings.outlier, settings.rotation_steps,
+            settings.depths, travels=False,
         )  # fmt: skip
     except np.linalg.LinAlgError:
         return None
