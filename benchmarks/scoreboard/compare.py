@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
+from benchmarks.scoreboard.score_summary import SCORES
 from benchmarks.scoreboard.summary import FORMAT
 from benchmarks.scoreboard.verdicts import CRITERIA
 from emoflow_ros.cli import run
@@ -25,6 +26,7 @@ from emoflow_ros.errors import InputError
 _RESAMPLES = 2000
 _CONFIDENCE = 0.95
 _VERDICTS = ("accurate", "honest")
+_LABEL_WIDTH = 38
 _FIX = "give the accuracy.json of a run, or its folder"
 
 Recording = Mapping[str, Any]
@@ -66,7 +68,7 @@ class Comparison:
     """Two runs side by side.
 
     Attributes:
-        differences: of rates and figures.
+        differences: of scores, rates and figures.
         changed: recordings with another verdict.
         only: names of recordings that one run alone has.
     """
@@ -122,7 +124,14 @@ def compare(first: Mapping[str, Recording], second: Mapping[str, Recording]) -> 
     if not names:
         raise InputError("the two runs", "have no recording in common", "give runs of the same")
     pairs = [(first[name], second[name]) for name in names]
-    differences = [
+    differences = []
+    for score in SCORES:
+        value = _figure(score.figure)
+        differences += [
+            _difference(f"{score.label}, median", pairs, value, np.median),
+            _difference(f"{score.label}, {score.mean_name}", pairs, value, score.mean),
+        ]
+    differences += [
         _difference(f"{verdict}, %", pairs, _percent_of(verdict), np.mean) for verdict in _VERDICTS
     ]
     differences += [
@@ -145,11 +154,12 @@ def compare(first: Mapping[str, Recording], second: Mapping[str, Recording]) -> 
 
 def describe(comparison: Comparison) -> str:
     """Lay a comparison out for people."""
-    lines = [f"{'':<32}{'first':>8}{'second':>8}{'change':>8}   {'95 % interval':<20}recordings"]
+    heads = f"{'first':>8}{'second':>8}{'change':>8}   {'95 % interval':<20}recordings"
+    lines = [f"{'':<{_LABEL_WIDTH}}{heads}"]
     for d in comparison.differences:
         interval = f"[{d.low:+.2f}, {d.high:+.2f}]" if math.isfinite(d.low) else "-"
         numbers = f"{d.first:>8.2f}{d.second:>8.2f}{d.difference:>+8.2f}"
-        lines.append(f"{d.label:<32}{numbers}   {interval:<20}{d.recordings}")
+        lines.append(f"{d.label:<{_LABEL_WIDTH}}{numbers}   {interval:<20}{d.recordings}")
     for change in comparison.changed:
         lines.append(f"{change.name}: {'now' if change.now else 'no longer'} {change.verdict}")
     if not comparison.changed:
@@ -201,7 +211,8 @@ def _criterion(name: str) -> Callable[[Recording], float]:
 
 
 def _figure(key: str) -> Callable[[Recording], float]:
-    return lambda recording: _number(recording["figures"][key])
+    """A figure; NaN where there is none, or the run is of a version that did not have it."""
+    return lambda recording: _number(recording["figures"].get(key))
 
 
 def _number(value: float | None, factor: float = 1.0) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.scoreboard.information import Scores, scores_of
 from benchmarks.scoreboard.uncertainty import direction_errors, normalised_squares, sigma_along
 from benchmarks.scoreboard.windows import Windows
 
@@ -72,8 +73,8 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Figures:
-    """Figures of one recording; NaN where no window has them. Shares are in percent.
+class Figures(Scores):
+    """Scores and figures of one recording; NaN where no window has them. Shares are in percent.
 
     Attributes:
         windows, estimates: how many windows there are, and how many have an estimate.
@@ -176,6 +177,7 @@ def figures_of(windows: Windows, gyro_scale: float = 1.0) -> Figures:
     v = errors.v[parallax & np.isfinite(errors.v)]
     lost = windows["epe_px"] > LOST_SHARE * windows["truth_px"]
     return Figures(
+        **vars(scores_of(windows, errors.w_scale)),
         windows=len(windows),
         estimates=int(ok.sum()),
         moving=int(moving.sum()),

@@ -129,15 +129,20 @@ def _true_motion(window: Window, material: Material, true: TrueFlow | None) -> t
 def _flow_error(
     part: Window, estimate: Estimate, material: Material, true: TrueFlow | None
 ) -> tuple[float, float]:
-    """Mean true displacement and mean end-point error of the event pixels over a part, px."""
-    if estimate.flow is None or not material.exact_flow:
-        return math.nan, math.nan
-    if true is None:
+    """Mean true displacement and mean end-point error of the event pixels over a part, px.
+
+    NaN where no true flow is known exactly; the error is NaN, too, without an estimated flow.
+    """
+    if true is None or not material.exact_flow:
         return math.nan, math.nan
     pixels = _event_pixels(part, true)
+    truth = true.displacement[pixels[:, 1], pixels[:, 0]]
+    if estimate.flow is None:
+        nothing = flow_errors(np.zeros(truth.shape), truth)
+        return (nothing.truth_px if nothing else math.nan), math.nan
     points = pixels.astype(np.float64)
     ours = estimate.flow.tracks(points, (part.t_start, part.t_end))[1] - points
-    errors = flow_errors(ours, true.displacement[pixels[:, 1], pixels[:, 0]])
+    errors = flow_errors(ours, truth)
     return (errors.truth_px, errors.epe_px) if errors else (math.nan, math.nan)
 
 

@@ -1,4 +1,4 @@
-"""The run as pages: one line per recording, rates by factor, the worst recordings over time."""
+"""The run as pages: scores and figures of all recordings, rates, the worst recordings over time."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -11,6 +11,7 @@ import jinja2
 from benchmarks.scoreboard.figures import Figures
 from benchmarks.scoreboard.plots import motion_figure
 from benchmarks.scoreboard.run import Outcome, file_name, severity
+from benchmarks.scoreboard.score_summary import SCORES
 from benchmarks.scoreboard.table import number
 from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
 from emoflow_ros.report.documents import png_uri
@@ -77,5 +78,5 @@ def _render(template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = number
-    environment.globals["CRITERIA"] = CRITERIA
+    environment.globals |= {"CRITERIA": CRITERIA, "SCORES": SCORES}
     return environment.get_template(template).render(**values)

@@ -1,4 +1,4 @@
-"""A run as one document: rates by group, by criterion and by factor."""
+"""A run as one document: scores by group, rates by group, by criterion and by factor."""
 
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scoreboard.run import Outcome
+from benchmarks.scoreboard.score_summary import summarise_scores
 from benchmarks.scoreboard.verdicts import CRITERIA, rate
 from emoflow_ros.core.config import Config
 from emoflow_ros.evaluation.provenance import machine, versions
@@ -27,7 +28,7 @@ def summarise(
         load: average load of the machine when the run began.
     """
     groups = {name: [o for o in outcomes if o.group == name] for name in _groups(outcomes)}
-    random = groups.get("random", [])
+    every = {"all": outcomes, **groups}
     return {
         "format": FORMAT,
         "date": datetime.now(UTC).date().isoformat(),
@@ -36,8 +37,9 @@ def summarise(
         "load_average_at_start": load,
         "configuration": config.flat(),
         "missing": list(missing),
-        "rates": {"all": rates(outcomes)} | {name: rates(some) for name, some in groups.items()},
-        "factors": breakdown(random),
+        "scores": {name: _scores(some) for name, some in every.items()},
+        "rates": {name: rates(some) for name, some in every.items()},
+        "factors": breakdown(groups.get("random", [])),
         "recordings": [outcome.document() for outcome in outcomes],
     }
 
@@ -101,6 +103,10 @@ def _labels(values: Sequence[Any]) -> Callable[[Any], str]:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _scores(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    return summarise_scores([outcome.figures for outcome in outcomes])
 
 
 def _groups(outcomes: Sequence[Outcome]) -> list[str]:

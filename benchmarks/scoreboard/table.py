@@ -1,9 +1,10 @@
-"""A run as a table on the screen."""
+"""A run as tables on the screen: the scores, then the other figures and the rates."""
 
 import math
 from collections.abc import Mapping
 from typing import Any
 
+from benchmarks.scoreboard.score_summary import SCORES
 from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
 
 # Column's head, figure, digits.
@@ -25,21 +26,57 @@ COLUMNS = (
     ("after s", "settled_s", 2),
 )
 _WIDTH = 8
+_SCORE_WIDTH = 23
+_COUNT_WIDTH = 5
 
 
 def table(document: Mapping[str, Any]) -> str:
-    """Lay a run's document out: one line per recording, the rates below."""
-    recordings = document["recordings"]
-    name_width = max([10, *(len(recording["name"]) for recording in recordings)])
-    heads = "".join(f"{head:>{_WIDTH}}" for head, *_ in COLUMNS)
-    lines = [f"{'recording':<{name_width}}{heads}  verdict"]
-    for recording in recordings:
-        figures = recording["figures"]
-        numbers = "".join(f"{number(figures[key], n):>{_WIDTH}}" for _, key, n in COLUMNS)
-        lines.append(f"{recording['name']:<{name_width}}{numbers}  {_verdict(recording)}")
+    """Lay a run's document out: tables of one line per recording, what is over all below."""
+    names = [recording["name"] for recording in document["recordings"]]
+    name_width = max([10, *(len(name) for name in names)])
+    lines = [*_score_lines(document, name_width), "", *_figure_lines(document, name_width)]
     lines += ["", *_rate_lines(document["rates"])]
     lines += [f"missing: {name}" for name in document["missing"]]
     return "\n".join(lines)
+
+
+def _score_lines(document: Mapping[str, Any], name_width: int) -> list[str]:
+    rows = _score_rows(document)
+    width = max(name_width, *(len(name) for name, *_ in rows))
+    heads = "".join(f"{score.label:>{_SCORE_WIDTH}}{'of':>{_COUNT_WIDTH}}" for score in SCORES)
+    lines = [f"{'recording':<{width}}{heads}"]
+    for name, values, counts in rows:
+        columns = "".join(
+            f"{number(value, score.digits):>{_SCORE_WIDTH}}{count:>{_COUNT_WIDTH}}"
+            for score, value, count in zip(SCORES, values, counts, strict=True)
+        )
+        lines.append(f"{name:<{width}}{columns}")
+    return [*lines, "mean of EPE: the geometric one; of: windows, of groups recordings"]
+
+
+def _score_rows(document: Mapping[str, Any]) -> list[tuple[str, list[float], list[int]]]:
+    """List names, scores and what they are over: each recording, then each group twice."""
+    rows = []
+    for recording in document["recordings"]:
+        found = recording["figures"]
+        values = [found[score.figure] for score in SCORES]
+        rows.append((recording["name"], values, [found[score.windows] for score in SCORES]))
+    for group, found in document["scores"].items():
+        counts = [found[score.figure]["recordings"] for score in SCORES]
+        medians = [found[score.figure]["median"] for score in SCORES]
+        means = [found[score.figure][score.mean_name] for score in SCORES]
+        rows += [(f"{group}, median", medians, counts), (f"{group}, mean", means, counts)]
+    return rows
+
+
+def _figure_lines(document: Mapping[str, Any], name_width: int) -> list[str]:
+    heads = "".join(f"{head:>{_WIDTH}}" for head, *_ in COLUMNS)
+    lines = [f"{'recording':<{name_width}}{heads}  verdict"]
+    for recording in document["recordings"]:
+        figures = recording["figures"]
+        numbers = "".join(f"{number(figures[key], n):>{_WIDTH}}" for _, key, n in COLUMNS)
+        lines.append(f"{recording['name']:<{name_width}}{numbers}  {_verdict(recording)}")
+    return lines
 
 
 def number(value: float | None, digits: int) -> str:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Added to variances, (1e-6)^2: a covariance of zero is an error of many sigmas, not a failure.
-_FLOOR = 1e-12
+VARIANCE_FLOOR = 1e-12
 
 
 def normalised_squares(errors: Array, covariances: Array) -> Array:
@@ -22,7 +22,7 @@ def normalised_squares(errors: Array, covariances: Array) -> Array:
     dimensions = errors.shape[-1]
     known = np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1))
     squares = np.full(len(errors), np.nan)
-    some = covariances[known] + _FLOOR * np.eye(dimensions)
+    some = covariances[known] + VARIANCE_FLOOR * np.eye(dimensions)
     solved = np.linalg.solve(some, errors[known][..., None])[..., 0]
     squares[known] = (errors[known] * solved).sum(axis=-1) / dimensions
     return squares

@@ -20,8 +20,8 @@ WINDOW = np.dtype(
         ("ok", np.bool_),  # whether there is an estimate
         ("moved_px", np.float64),  # median true way of the static event pixels, whole window
         ("parallax_px", np.float64),  # mean of what is left of that way without the rotation
-        ("truth_px", np.float64),  # mean true way of the event pixels over the part
-        ("epe_px", np.float64),  # mean end-point error of the same pixels over the part
+        ("truth_px", np.float64),  # mean true way of the event pixels over the part, flow or not
+        ("epe_px", np.float64),  # mean end-point error of the same pixels; NaN without a flow
         ("angular", np.float64, 3),  # rad/s
         ("true_angular", np.float64, 3),  # rad/s
         ("angular_covariance", np.float64, (3, 3)),

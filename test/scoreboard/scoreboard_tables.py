@@ -45,7 +45,6 @@ def silent(**changed: Any) -> dict[str, Any]:
         ok=False,
         status="no_motion",
         model="static",
-        truth_px=NAN,
         epe_px=NAN,
         angular=nothing,
         angular_covariance=NAN,
@@ -75,8 +74,9 @@ def random_table(seed: int, count: int = 60) -> Windows:
             "start": int(k >= count // 2),
             "t_begin": int(k >= count // 2) * 100 * MS,
             "t_end": (k % (count // 2) + 4) * 67 * MS,
-            "moved_px": rng.choice([0.0, 2.9, 3.0, 12.0, NAN]),
+            "moved_px": rng.choice([0.0, 0.9, 2.9, 3.0, 12.0, NAN]),
             "parallax_px": rng.choice([0.0, 1.0, 2.0, 4.0]),
+            "truth_px": rng.uniform(1, 12) if rng.random() < 0.9 else NAN,
             "true_angular": rng.normal(size=3) * 0.3,
             "true_linear": true,
         }
@@ -86,8 +86,7 @@ def random_table(seed: int, count: int = 60) -> Windows:
             rows.append(silent(**changed))
             continue
         changed |= {
-            "truth_px": rng.uniform(1, 12),
-            "epe_px": rng.choice([NAN, *rng.uniform(0, 6, 3)]),
+            "epe_px": rng.choice([NAN, *rng.uniform(0, 6, 3)]) + 0 * changed["truth_px"],
             "angular": changed["true_angular"] + rng.normal(size=3) * 0.1,
             "angular_covariance": root @ root.T + 1e-4 * np.eye(3),
             "linear": linear,
@@ -105,7 +104,15 @@ def slow_figures(windows: Windows) -> dict[str, float]:
     epe, way, w2, true2, nees_w, nees_v, v = [], [], [], [], [], [], []
     wrong_w = wrong_v = wrong = lost = lost_of = still_wrong = estimates = 0
     parallax = claimed = 0
+    all_epe, all_way, w_known, v_known = [], [], 0, 0
     for window in windows:
+        if window["moved_px"] >= 1:
+            w_known += not math.isnan(window["true_angular"][0])
+            v_known += not math.isnan(window["true_linear"][0])
+            if not math.isnan(window["truth_px"]):
+                zero_flow = math.isnan(window["epe_px"])
+                all_epe.append(window["truth_px"] if zero_flow else window["epe_px"])
+                all_way.append(window["truth_px"])
         moves, rests = window["moved_px"] >= 3, window["moved_px"] < 3
         moving, still = moving + moves, still + rests
         if not window["ok"]:
@@ -142,6 +149,10 @@ def slow_figures(windows: Windows) -> dict[str, float]:
         wrong_w, wrong_v, wrong = wrong_w + bad_w, wrong_v + bad_v, wrong + (bad_w or bad_v)
     v.sort()
     return {
+        "gain_w_windows": w_known,
+        "gain_v_windows": v_known,
+        "epe_share_all": 100 * sum(all_epe) / sum(all_way),
+        "epe_share_windows": len(all_way),
         "windows": len(windows),
         "estimates": estimates,
         "moving": moving,

@@ -79,6 +79,7 @@ def test_the_truth_itself_is_accurate_and_its_flow_error_is_what_was_added(calm,
     windows = observe(material, CONFIG)
     assert np.unique(windows["start"]).tolist() == [0, 1]
     assert windows["ok"].tolist() == [True, True, False, True, True]
+    assert np.isfinite(windows["epe_px"]).tolist() == windows["ok"].tolist()
     found = figures_of(windows)
     assert found.w_rms == pytest.approx(0.0, abs=1e-9)
     directions = errors_of(windows).v
@@ -95,12 +96,20 @@ def test_each_start_has_an_estimator_that_is_told_the_calibration(calm, oracle):
 
 def test_the_way_of_the_image_pixel_by_pixel(calm, oracle):
     material, truth = calm
-    window = observe(material, CONFIG)[0]
+    windows = observe(material, CONFIG)
+    assert not windows["ok"][2]
+    for window in windows[[0, 2]]:
+        _check_way(window, material.events, truth)
+    inexact = observe(replace(material, exact_flow=False), CONFIG)
+    assert np.isnan(inexact["truth_px"]).all()
+
+
+def _check_way(window, events, truth):
     begin, end = int(window["t_window"]), int(window["t_end"])
     flow = truth.displacement(begin, end)
     pixels = {
         (int(x), int(y))
-        for x, y, t in zip(material.events.x, material.events.y, material.events.t, strict=True)
+        for x, y, t in zip(events.x, events.y, events.t, strict=True)
         if begin <= t < end
     }
     lengths = [float(np.hypot(*flow[y, x])) for x, y in pixels]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scoreboard_tables import random_table, row
+from scoreboard_tables import random_table, row, silent
 
 from benchmarks.scoreboard import report, simulated_subjects
 from benchmarks.scoreboard.__main__ import parse_seeds
@@ -61,9 +61,49 @@ def test_the_report_links_to_the_worst(tmp_path: Path, outcomes, monkeypatch):
 def test_the_table_names_what_is_missed_and_missing(outcomes):
     text = table(summarise(outcomes, load_config(), ["real/gone (/nowhere)"], 0.0))
     lines = text.splitlines()
-    assert len([line for line in lines if line.startswith("random/")]) == 12
+    assert len([line for line in lines if line.startswith("random/")]) == 2 * 12
     assert "missing: real/gone (/nowhere)" in lines
     assert re.search(r"real/none +-.*accurate, honest", text)
+
+
+def test_scores_are_the_first_table(outcomes):
+    few = [outcomes[0], outcome("random/silent", make_windows([silent(), silent()])), outcomes[-1]]
+    lines = table(summarise(few, load_config(), [], 0.0)).splitlines()
+    assert re.split(r"  +", lines[0]) == [
+        "recording",
+        *("gain of w, bits", "of", "gain of v, bits", "of", "EPE with zero flow, %", "of"),
+    ]
+    w, v = few[0].figures.gain_w_bits, few[0].figures.gain_v_bits
+    rows = [re.split(r"  +", line) for line in lines[1:10]]
+    good = [f"{w:.2f}", f"{v:.2f}", "5.0"]
+    half = [f"{w / 2:.2f}", f"{v / 2:.2f}"]
+    assert [row[:1] + row[1::2] for row in rows] == [
+        ["random/good", *good],
+        ["random/silent", "0.00", "0.00", "100.0"],
+        ["real/none", "-", "-", "-"],
+        ["all, median", *half, "52.5"],
+        ["all, mean", *half, "22.4"],  # sqrt(5 * 100)
+        ["random, median", *half, "52.5"],
+        ["random, mean", *half, "22.4"],
+        ["real, median", "-", "-", "-"],
+        ["real, mean", "-", "-", "-"],
+    ]
+    assert [row[2::2] for row in rows] == [["2"] * 3] * 2 + [["0"] * 3] + [["2"] * 3] * 4 + [
+        ["0"] * 3
+    ] * 2
+
+
+def test_scores_are_the_first_table_of_the_report_and_of_its_json(tmp_path: Path, outcomes):
+    document = summarise(outcomes, load_config(), [], 0.0)
+    assert list(document).index("scores") < list(document).index("rates")
+    page = report.write_report(tmp_path, outcomes, document).read_text()
+    first = page[page.index("<table") : page.index("</table>")]
+    cells = [re.sub(r"<[^>]*>", " ", line).split() for line in first.splitlines() if "<td" in line]
+    assert len(cells) == 2 * len(document["scores"]) + len(outcomes)
+    geometric = document["scores"]["all"]["epe_share_all"]["geometric mean"]
+    assert cells[1][:2] == ["all,", "mean"]
+    assert cells[1][-3:] == [f"{geometric:.1f}", "12", "recordings"]
+    assert [cells[6][0], cells[6][2], *cells[6][-2:]] == ["random/good", "2", "5.0", "2"]
 
 
 def test_the_worst_recordings_miss_most(outcomes):

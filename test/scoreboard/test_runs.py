@@ -1,6 +1,7 @@
 """Two runs of the scoreboard side by side, and rates by factor."""
 
 import json
+import math
 import re
 
 import numpy as np
@@ -68,6 +69,25 @@ def test_figures_that_one_run_lacks_are_left_out():
     assert by_label(first, second)["v, %"].recordings == 0
 
 
+def test_scores_come_first_and_are_left_out_where_a_run_is_older():
+    first, second = run_of([1.0] * 3), run_of([1.0] * 3)
+    older = by_label(first, second)
+    assert older["gain of w, bits, mean"].recordings == 0
+    for shares, found in (((10.0, 20.0, 80.0), first), ((5.0, 10.0, 40.0), second)):
+        for recording_, share in zip(found.values(), shares, strict=True):
+            gains = {"gain_w_bits": share - 30, "gain_v_bits": 1.0}
+            recording_["figures"] |= gains | {"epe_share_all": share}
+    differences = compare(first, second).differences
+    assert [(d.label, round(d.first, 2), round(d.second, 2)) for d in differences[:6]] == [
+        ("gain of w, bits, median", -10.0, -20.0),
+        ("gain of w, bits, mean", 6.67, -11.67),
+        ("gain of v, bits, median", 1.0, 1.0),
+        ("gain of v, bits, mean", 1.0, 1.0),
+        ("EPE with zero flow, %, median", 20.0, 10.0),
+        ("EPE with zero flow, %, geometric mean", 25.2, 12.6),
+    ]
+
+
 def test_changed_verdicts_are_named():
     text = describe(compare(run_of([1.0, 1.0]), run_of([1.0, 1.0], accurate=False)))
     assert "0: no longer accurate" in text
@@ -102,6 +122,11 @@ def test_a_run_is_written_and_read_again(tmp_path):
     assert document["rates"]["random"]["accurate"] == 50.0
     assert document["rates"]["random"]["epe"] == 50.0
     assert document["rates"]["all"]["recordings"] == 2
+    assert document["scores"]["random"]["epe_share_all"] == {
+        "recordings": 2,
+        "median": 17.5,
+        "geometric mean": pytest.approx(math.sqrt(5 * 30)),
+    }
     assert json.loads((tmp_path / "accuracy.json").read_text())["missing"] == ["real/x (gone)"]
     runs = read_run(tmp_path)
     assert [c.name for c in compare(runs, runs).changed] == []
