@@ -70,11 +70,12 @@ def spin_until_asked(node: Node, give_end: Callable[[Callable[[], None]], None])
         with contextlib.suppress(InvalidHandle):  # the node is gone already
             wish.trigger()
 
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    give_end(ask)
-    while not is_asked:
-        executor.spin_once()
+    # Not left to the garbage collector: if that destroys its parts first, a traceback is printed.
+    with SingleThreadedExecutor(context=node.context) as executor:
+        executor.add_node(node)
+        give_end(ask)
+        while not is_asked:
+            executor.spin_once()
 
 
 class EstimatorNode(LifecycleNode):
