@@ -10,6 +10,7 @@ from importlib import import_module
 from types import FrameType
 from typing import TextIO
 
+from emoflow_ros.compiled_code import choose_folder
 from emoflow_ros.errors import InputError
 
 EXIT_BAD_INPUT = 2
@@ -90,8 +91,13 @@ def _has_lost_its_reader(stream: TextIO | None) -> bool:
 def _command(module: str) -> Callable[[], int]:
     """Make a command that imports its module late, so that Ctrl-C before is one line, too."""
 
+    def command() -> int:
+        choose_folder()
+        code: int = import_module(f"emoflow_ros.{module}").main()
+        return code
+
     def main() -> int:
-        return run(lambda: import_module(f"emoflow_ros.{module}").main())
+        return run(command)
 
     return main
 

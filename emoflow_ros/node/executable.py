@@ -55,11 +55,15 @@ def main(factory: str | None = None) -> int:
     """
     ending = Ending()
     from emoflow_ros.cli import run
-    from emoflow_ros.node.estimator_node import run_node
-    from emoflow_ros.node.ros_arguments import own_arguments
-    from emoflow_ros.node.supervisor import FACTORY
 
     def command() -> None:
+        from emoflow_ros.compiled_code import choose_folder
+
+        choose_folder()
+        from emoflow_ros.node.estimator_node import run_node
+        from emoflow_ros.node.ros_arguments import own_arguments
+        from emoflow_ros.node.supervisor import FACTORY
+
         parser().parse_args(own_arguments())
         ending.imported()
         run_node(factory or FACTORY, ending.in_order)

@@ -7,6 +7,7 @@ node's end of the first channel closes.
 
 import contextlib
 import ctypes
+import errno
 import importlib
 import os
 import signal
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from emoflow_ros import compiled_code
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
@@ -54,6 +56,7 @@ _WARM_UP_SPEED = 200  # px/s
 _NICE = 10
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
+_UNWRITABLE = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
 _M_ARENA_MAX = -8  # of glibc's mallopt
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast
 
@@ -251,6 +254,8 @@ def _describe(error: Exception) -> dict[str, Any]:
     """Say what went wrong, whether CUDA did, and whether the process can go on after it."""
     device = "CUDA" in str(error)
     out_of_memory = isinstance(error, MemoryError) or "DefaultCPUAllocator" in str(error)
+    if isinstance(error, OSError) and error.errno in _UNWRITABLE:
+        error = compiled_code.not_kept(error)  # the one thing that a worker writes
     if isinstance(error, InputError):
         return {"error": str(error), "device": device, "fatal": False}
     line = " ".join(f"{type(error).__name__}: {error}".split()) + keep_traceback(error)

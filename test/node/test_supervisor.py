@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from supervisor_bench import CAMERA, Bench
 
+from emoflow_ros import compiled_code
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.products import flow_to_rgb
@@ -166,5 +167,18 @@ def test_worker_that_cannot_start_is_tried_again() -> None:
             assert loss.worker
             assert "exit code 1" in loss.reason
         assert not b.supervisor.ready.is_set()
+    finally:
+        b.supervisor.stop()
+
+
+def test_compiled_code_that_cannot_be_written_is_said_with_its_folder_and_what_to_do() -> None:
+    b = Bench("FullDisk")
+    b.supervisor.start()
+    try:
+        assert b.loss().reason == (
+            "the worker cannot be started: compiled code: it cannot be kept in "
+            f"{compiled_code.folder()} (no space left on device); make room there, or set "
+            "NUMBA_CACHE_DIR to a folder that can be written and has 32 MiB; it is started again"
+        )
     finally:
         b.supervisor.stop()
