@@ -21,7 +21,7 @@ from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.supervisor import STARTING, Supervisor
-from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Result, Task
+from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Progress, Result, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _THROTTLE_S = 5.0
@@ -104,6 +104,7 @@ class Pipeline:
 
     def start(self) -> None:
         """Start the worker."""
+        self._node.get_logger().info(STARTING)
         self._supervisor.start()
 
     @property
@@ -225,6 +226,8 @@ class Pipeline:
                 case Notice(reason):
                     self._node.get_logger().warning(reason)
                     self.statistics.set_problem("device", Level.WARN, reason)
+                case Progress(line):
+                    self._node.get_logger().info(line)
 
     def report(self) -> Report:
         """Judge the time since the last report."""

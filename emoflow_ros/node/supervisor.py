@@ -15,7 +15,16 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack_window, unpack
-from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Job, Loss, Notice, Outcome, Task
+from emoflow_ros.node.tasks import (
+    Arrays,
+    DropOldestQueue,
+    Job,
+    Loss,
+    Notice,
+    Outcome,
+    Progress,
+    Task,
+)
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
 from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess
 
@@ -230,10 +239,16 @@ class Supervisor:
                 self._configure(*configured)
 
     def _ask_to_warm_up(self) -> dict[str, Any]:
-        answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)
+        assert self._worker is not None
+        answer, _ = self._worker.request({"kind": "warm_up"}, {}, _START_S, self._note_progress)
+        self.obstacle = ""
         if "error" in answer:
             raise WorkerDiedError(f"the worker cannot be started: {answer['error']}")
         return answer
+
+    def _note_progress(self, line: str) -> None:
+        self.obstacle = f"{STARTING}: {line}"
+        self._tell(Progress(line))
 
     def _request(
         self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None

@@ -148,7 +148,14 @@ class Notice:
     reason: str
 
 
-type Outcome = Result | Present | Loss | Notice
+@dataclass(frozen=True)
+class Progress:
+    """How far the worker is with its start; one line."""
+
+    line: str
+
+
+type Outcome = Result | Present | Loss | Notice | Progress
 
 
 class DropOldestQueue[T]:

@@ -1,8 +1,8 @@
 """What runs in the worker process, which alone imports the estimators.
 
-The worker answers one request at a time, `warm_up`, `configure` or `window`, over a `Channel`. Over
-another one a thread of its own answers slices while a window is estimated. The worker ends when the
-node's end of the first channel closes.
+The worker answers one request at a time, `warm_up`, `configure` or `window`, over a `Channel`. Its
+progress with the warm-up comes before that answer. Over another channel a thread of its own answers
+slices while a window is estimated. The worker ends when the node's end of the first channel closes.
 """
 
 import contextlib
@@ -75,10 +75,12 @@ def serve(connection: Connection, slices: Connection, factory: str) -> None:
     os.nice(_NICE)
     _share_memory()
     module, _, function = factory.partition(":")
-    worker = _Worker(getattr(importlib.import_module(module), function))
+    channel = Channel(connection)
+    make_estimator = getattr(importlib.import_module(module), function)
+    worker = _Worker(make_estimator, lambda progress: channel.send(progress, {}))
     beside = (Channel(slices), worker.answer_slice)
     threading.Thread(target=_answer_all, args=beside, name="slices", daemon=True).start()
-    _answer_all(Channel(connection), worker.answer)
+    _answer_all(channel, worker.answer)
 
 
 def _share_memory() -> None:
@@ -98,8 +100,13 @@ def _answer_all(
 
 
 class _Worker:
-    def __init__(self, make_estimator: EstimatorFactory) -> None:
+    def __init__(
+        self,
+        make_estimator: EstimatorFactory,
+        tell: Callable[[dict[str, Any]], None] = lambda progress: None,
+    ) -> None:
         self._make_estimator = make_estimator
+        self._tell = tell
         self._estimator: Estimator | None = None
         self._painter: Painter | None = None
         self._present: PresentMotion | None = None
@@ -143,9 +150,8 @@ class _Worker:
         Returns:
             `compiled`: whether anything was compiled, and not found on disk.
         """
-        from numba.core import event
-
         from emoflow_ros.core.present_motion import PresentMotion
+        from emoflow_ros.node.compilation import watched
 
         camera, config = WARM_UP_CAMERA, Config()
         rng = np.random.default_rng(0)
@@ -157,12 +163,12 @@ class _Worker:
         estimator = self._make_estimator(camera, config)
         assert isinstance(config.estimator, LatticeConfig)
         present = PresentMotion(camera, config.estimator)
-        with event.install_recorder("numba:compile") as compilations:
+        with watched(lambda line: self._tell({"progress": line})) as compilation:
             for end in WARM_UP_ENDS:
                 window = Window(0, end, events[: np.searchsorted(t, end)])
                 present.know(estimator.estimate(window.since(end - _WARM_UP_LENGTH)))
                 present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
-        return {"compiled": bool(compilations.buffer)}
+        return {"compiled": bool(compilation.count)}
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:
         camera = Camera(**header["camera"] | {"distortion": tuple(header["camera"]["distortion"])})

@@ -54,14 +54,23 @@ class WorkerProcess:
         self._slices = Channel(my_slices, stall_s)
 
     def request(
-        self, header: Mapping[str, Any], arrays: Arrays, limit: float
+        self,
+        header: Mapping[str, Any],
+        arrays: Arrays,
+        limit: float,
+        note: Callable[[str], None] = lambda progress: None,
     ) -> tuple[dict[str, Any], Arrays]:
-        """Send a request and wait for the answer, for `limit` seconds at most.
+        """Send a request and wait for the answer.
+
+        Args:
+            header, arrays: the request.
+            limit: how long the worker may be silent, s.
+            note: gets what the worker says of its progress before it answers.
 
         Raises:
-            WorkerDiedError: there is none in that time.
+            WorkerDiedError: the worker is silent for longer, or dies.
         """
-        return self._ask(self._channel, header, arrays, limit)
+        return self._ask(self._channel, header, arrays, limit, note)
 
     def estimate_slice(
         self, header: Mapping[str, Any], arrays: Arrays, limit: float
@@ -74,11 +83,20 @@ class WorkerProcess:
         return self._ask(self._slices, header, arrays, limit)
 
     def _ask(
-        self, channel: Channel, header: Mapping[str, Any], arrays: Arrays, limit: float
+        self,
+        channel: Channel,
+        header: Mapping[str, Any],
+        arrays: Arrays,
+        limit: float,
+        note: Callable[[str], None] = lambda progress: None,
     ) -> tuple[dict[str, Any], Arrays]:
         try:
             channel.send(header, arrays)
-            return channel.receive(limit)
+            answer = channel.receive(limit)
+            while "progress" in answer[0]:
+                note(answer[0]["progress"])
+                answer = channel.receive(limit)
+            return answer
         except TimeoutError:
             reason = f"the worker gave no answer in {limit:g} s and was ended"
             raise WorkerDiedError(reason) from None

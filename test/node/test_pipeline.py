@@ -16,7 +16,7 @@ from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.event_source import to_camera
-from emoflow_ros.node.tasks import Job, Loss
+from emoflow_ros.node.tasks import Job, Loss, Progress
 from emoflow_ros.node.topic_search import EventTopic
 
 FINER = replace(CAMERA, fx=60.0)
@@ -63,6 +63,16 @@ def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: Pip
     assert bench.said[1:] == ["dropped: the worker died (signal 9); it is started again"]
     report = bench.pipeline.report()
     assert report.message == "2 windows dropped: the worker died (signal 9); it is started again"
+
+
+def test_start_of_the_worker_is_said_at_once_and_its_progress_as_it_comes(
+    bench: PipelineBench,
+) -> None:
+    bench.pipeline.start()
+    assert bench.node.log[-1] == ("info", "the worker is starting")
+    bench.supervisor.outcomes.put(Progress("the estimator is compiled: 7 functions in 5 s"))
+    bench.pipeline.take_outcomes()
+    assert bench.node.log[-1] == ("info", "the estimator is compiled: 7 functions in 5 s")
 
 
 def test_windows_carry_what_holds_when_they_are_handed_over(bench: PipelineBench) -> None:

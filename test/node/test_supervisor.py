@@ -1,5 +1,6 @@
 import os
 import queue
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -70,6 +71,19 @@ def test_worker_that_had_to_compile_is_replaced_once(
         assert len(started) == count
         assert b.supervisor.pid == started[-1]
         assert factory == "Recorder" or answered == started[-1]
+
+
+def test_start_that_compiles_is_said_at_once_and_at_its_end(bench: Callable[..., Bench]) -> None:
+    b = bench("Compiler")
+    first, last = b.progress()[:2]  # the worker that replaces this one compiles, too
+    assert first == (
+        "the estimator is compiled, as at the first start on a machine: it takes about a minute, "
+        f"and is kept in {compiled_code.folder()}"
+    )
+    wanted = r"the estimator is compiled now: \d+ functions in \d+ s"
+    assert re.fullmatch(wanted, last)
+    assert b.supervisor.obstacle == ""
+    assert bench("Recorder").progress() == []
 
 
 def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:
