@@ -16,8 +16,9 @@ from sensor_msgs.msg import CameraInfo
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.backlog import LeftOut
-from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import EventFeed, fetch_waiting
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.topic_search import (
     EventTopic,

@@ -18,9 +18,10 @@ from sensor_msgs.msg import Imu
 from emoflow_ros.core.config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_checks import GyroState
-from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import fetch_waiting
 from emoflow_ros.node.imu_input import ImuInput, MountingError
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.target_frame import LATEST, NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside

@@ -18,11 +18,13 @@ from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.reports import Level, Report
+from emoflow_ros.node.scale import Scale
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.target_frame import NoTransformError
 from emoflow_ros.node.tasks import Picture, Present, Result, Task, Wishes
-from emoflow_ros.node.twist_output import Scale, TwistOutput, make_publisher, to_header
+from emoflow_ros.node.twist_output import TwistOutput, make_publisher, to_header
 
 _ENCODINGS = {Picture.FLOW: "32FC2", Picture.COLOR: "rgb8", Picture.EVENTS: "mono8"}
 _TRACK_WIDTH = 0.004  # m, at a distance of 1 m: about a pixel
@@ -110,7 +112,8 @@ class Outputs:
         stamp = present.task.to_ros(present.found.twist.t)
         factor = self._scale.at(stamp).factor
         with contextlib.suppress(NoTransformError):  # the next window's status will say so
-            self._twists.publish_present(present, factor)
+            if self._twists.publish_present(present, factor):
+                self._statistics.stream.give()
 
     def publish_dropped(self, task: Task, reason: str) -> None:
         """Publish the status of a window that was dropped for this reason."""
@@ -126,6 +129,7 @@ class Outputs:
             self._twists.publish(result, factor)
         except NoTransformError as error:
             return f"{error}; no twist is published"
+        self._statistics.stream.give()
         return ""
 
     def _publish_pictures(self, result: Result) -> None:

@@ -12,13 +12,15 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.backlog import LeftOut
-from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
+from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.supervisor import STARTING, Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Progress, Result, Task
@@ -27,6 +29,8 @@ from emoflow_ros.node.topic_search import EventTopic, topic_beside
 _THROTTLE_S = 5.0
 # A problem that lasts until somebody acts is logged again after this time.
 _REMINDER_S = 30.0
+# Without a twist for this long the diagnostics warn, unless windows are longer.
+_TWIST_S = 1.0
 _SLOW = (
     "the estimation is slower than the events; give longer windows, or fewer estimator.max_events"
 )
@@ -104,8 +108,8 @@ class Pipeline:
 
     def start(self) -> None:
         """Start the worker."""
-        self._node.get_logger().info(STARTING)
         self._supervisor.start()
+        self._node.get_logger().info(STARTING)
 
     @property
     def obstacle(self) -> str:
@@ -145,6 +149,7 @@ class Pipeline:
             self.imu.listen(topic)
         self._epoch += 1
         self._encoding = ""
+        self.statistics.stream.listen()
         self._input = EventInput(
             topic.type,
             settings.budget,
@@ -237,7 +242,13 @@ class Pipeline:
             self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)
         if self.imu is not None and self._input is not None:
             self.imu.report()
-        return self.statistics.report(self._settings.node.input.silence_s, self._supervisor.pid)
+        window = self._settings.config.window
+        between_s = (window.duration_ns + window.stride_ns) / NS_PER_S
+        return self.statistics.report(
+            self._settings.node.input.silence_s,
+            self._supervisor.pid,
+            twist_s=max(_TWIST_S, between_s),
+        )
 
     def _hand_on(self, tasks: list[Task]) -> None:
         """Put tasks into the worker's queues, or let windows wait for a calibration."""

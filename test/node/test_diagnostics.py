@@ -7,7 +7,8 @@ from fake_clock import Clock
 
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.node.diagnostics import Level, Statistics, resident_mb
+from emoflow_ros.node.diagnostics import Statistics, resident_mb
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Loss, Result, Task
 
 
@@ -38,6 +39,7 @@ def test_rates_hold_since_the_last_report(clock: Clock, result: Callable[..., Re
         clock.now += 0.5
         statistics.add_events(1000)
         statistics.add_result(result(clock.now - 0.1))
+        statistics.stream.give()
     report = statistics.report(2.0)
     assert report.values["events_per_s"] == "2000"
     assert report.values["windows_per_s"] == "2.00"
@@ -137,29 +139,118 @@ def test_empty_messages_are_not_the_driver_s_silence(clock: Clock) -> None:
     )
 
 
-def test_windows_that_all_hold_too_few_events_warn(
+def play(statistics: Statistics, clock: Clock, seconds: float, *windows: Result) -> None:
+    """Let events come at 100 Hz for so long; the windows come with the last of them."""
+    for _ in range(round(100 * seconds)):
+        clock.now += 0.01
+        statistics.add_events(5)
+    for window in windows:
+        statistics.add_result(window)
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        (Status.UNCERTAIN, "are uncertain: their estimates are probably wrong and withheld; more"),
+        (Status.NO_MOTION, "show no motion: the camera is at rest, or the image moves too little"),
+        (Status.TOO_FEW_EVENTS, "hold too few events: the camera is at rest, or estimator.min_e"),
+        (Status.DIVERGED, "diverged: check the calibration, or give longer windows"),
+    ],
+)
+def test_no_twist_while_events_come_warns_with_the_reason_of_most_windows(
+    clock: Clock, result: Callable[..., Result], status: Status, words: str
+) -> None:
+    statistics = Statistics(clock)
+    other = Status.UNCERTAIN if status is Status.NO_MOTION else Status.NO_MOTION
+    for _ in range(2):  # reports every 0.6 s: the windows of both count
+        windows = [result(clock.now, s) for s in (status, other, status)]
+        play(statistics, clock, 0.6, *windows)
+        report = statistics.report(2.0)
+    assert report.level is Level.WARN
+    assert report.message.startswith(f"no twist for 1.2 s: 4 of 6 windows {words}")
+
+
+def test_twists_that_are_published_are_no_reason_to_warn(
     clock: Clock, result: Callable[..., Result]
 ) -> None:
     statistics = Statistics(clock)
-    for _ in range(11):
-        statistics.add_result(result(clock.now, Status.TOO_FEW_EVENTS))
-    report = statistics.report(2.0)
-    assert report.level is Level.WARN
-    assert report.message == (
-        "11 windows with too few events, and none with enough: the camera is at rest, or "
-        "estimator.min_events is too high for its windows"
-    )
-    for status in (Status.TOO_FEW_EVENTS, Status.OK):
-        statistics.add_result(result(clock.now, status))
-    assert statistics.report(2.0).message == "running"
+    for _ in range(10):
+        play(statistics, clock, 0.9, *[result(clock.now, Status.UNCERTAIN)] * 3, result(clock.now))
+        statistics.stream.give()
+        report = statistics.report(2.0)
+        assert (report.level, report.message) == (Level.OK, "running; 3 of 4 windows uncertain")
+    play(statistics, clock, 1.1, result(clock.now, Status.UNCERTAIN))
+    assert statistics.report(2.0).message.startswith("no twist for 1.1 s: 1 of 1 windows are unc")
 
 
-def test_windows_without_motion_are_said(clock: Clock, result: Callable[..., Result]) -> None:
+def test_windows_that_are_dropped_or_fail_are_reasons_for_no_twist(clock: Clock) -> None:
     statistics = Statistics(clock)
-    for _ in range(3):
-        statistics.add_result(result(clock.now, Status.NO_MOTION))
+    task = Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0)
+    statistics.add_dropped(task, "too slow")
+    statistics.report(2.0)
+    play(statistics, clock, 1.5)
+    said = statistics.report(2.0).message
+    assert said == "no twist for 1.5 s: 1 of 1 windows were dropped: too slow"
+    for _ in range(2):
+        statistics.add_loss(Loss("no luck", worker=False, task=task))
+    statistics.report(2.0)
+    play(statistics, clock, 0.5)
+    said = statistics.report(2.0).message
+    assert said == "no twist for 2.0 s: 2 of 3 windows failed: no luck"
+
+
+def test_windows_that_never_end_are_said(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    play(statistics, clock, 4.0)
+    assert statistics.report(2.0, twist_s=5.0).level is Level.OK  # long ones are wanted
     report = statistics.report(2.0)
-    assert (report.level, report.message) == (Level.OK, "running, no motion in 3 windows")
+    assert (report.level, report.message) == (
+        Level.WARN,
+        "no twist for 4.0 s: no window is complete: window.count or window.duration_ms is too "
+        "large for the events",
+    )
+
+
+def test_time_without_a_twist_counts_from_when_events_flow(clock: Clock) -> None:
+    statistics = Statistics(clock)
+    play(statistics, clock, 0.9)
+    clock.now += 1.5  # a pause
+    assert statistics.report(2.0).message == "running"
+    play(statistics, clock, 0.9)
+    assert statistics.report(2.0).message == "running"
+    play(statistics, clock, 0.2)
+    assert statistics.report(2.0).message.startswith("no twist for 1.1 s: ")
+
+
+def test_silence_counts_from_when_the_node_listens(clock: Clock) -> None:
+    """Not from when it was configured, before there was any driver."""
+    statistics = Statistics(clock)
+    clock.now += 60.0
+    statistics.stream.listen()
+    clock.now += 2.5
+    assert statistics.report(2.0).message.startswith("no events for 2.5 s: ")
+    for _ in range(250):
+        statistics.counts["wrong_size_messages"] += 1
+        statistics.add_events(0)
+        clock.now += 0.01
+    assert statistics.report(2.0).message.startswith("nothing to use for 2.5 s: 250 messages of a")
+
+
+def test_reason_of_messages_without_events_outlives_the_report_that_counted_them(
+    clock: Clock,
+) -> None:
+    statistics = Statistics(clock)
+    for _ in range(250):
+        statistics.counts["wrong_size_messages"] += 1
+        statistics.add_events(0)
+        clock.now += 0.01
+        statistics.report(2.0)
+    clock.now += 1.5  # the replay has ended
+    report = statistics.report(2.0)
+    assert report.level is Level.ERROR
+    assert report.message.startswith("nothing to use for 4.0 s: 250 messages of another sensor")
+    clock.now += 1.0
+    assert statistics.report(2.0).message.startswith("no events for 2.5 s: ")
 
 
 def test_error_in_the_node_is_an_error_and_counted(clock: Clock) -> None:

@@ -24,8 +24,8 @@ from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack, unpack
-from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.pipeline import Pipeline
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Job, Result, Task
 from emoflow_ros.node.topic_search import EventTopic

@@ -19,8 +19,9 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.outputs import Outputs, to_diagnostics, to_image, to_tracks
+from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.tasks import Picture, Present, Result, Task
 from emoflow_ros.node.twist_output import to_header
@@ -224,6 +225,26 @@ def test_twists_are_withheld_without_a_transform(
     b.made.close()
     assert b.node.publishers == {}
     assert tf.listening == 0
+
+
+def test_only_twists_that_are_published_count_as_given(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tf = install_fake_tf(monkeypatch)
+    b = bench(present=True, output__target_frame="base")
+    given: list[str] = []
+    monkeypatch.setattr(b.statistics.stream, "give", lambda: given.append("twist"))
+    b.publish()  # without a transform
+    b.outputs.publish_present(present(100))
+    assert given == []
+    tf.known = True
+    b.publish(1010, status=Status.UNCERTAIN)
+    assert given == []
+    for t_ms in (120, 110):  # the second one is not the newest
+        b.outputs.publish_present(present(t_ms))
+    assert given == ["twist"]
+    b.publish(1020)
+    assert given == ["twist"] * 2
 
 
 def test_flow_image_survives_serialisation() -> None:

@@ -12,10 +12,9 @@ from pipeline_bench import CAMERA, LEFT, MS, PipelineBench
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.event_source import to_camera
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Job, Loss, Progress
 from emoflow_ros.node.topic_search import EventTopic
 
@@ -158,16 +157,18 @@ def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(
     assert len(bench.node.messages("egomotion/twist")) == 1
 
 
-def test_windows_with_too_few_events_are_not_running(bench: PipelineBench) -> None:
-    bench.calibrate()
-    bench.play(1000, 1021)
-    for job in bench.supervisor.jobs():
-        answer = bench.answer(job)
-        estimate = replace(answer.estimate, status=Status.TOO_FEW_EVENTS)
-        bench.supervisor.outcomes.put(replace(answer, estimate=estimate))
-    report = bench.pipeline.report()
-    assert report.level is Level.WARN
-    assert report.message.startswith("2 windows with too few events, and none with enough")
+def test_twists_may_be_as_far_apart_as_windows_are(
+    bench: PipelineBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits: list[float] = []
+    monkeypatch.setattr(
+        bench.pipeline.statistics, "report", lambda *_, twist_s: limits.append(twist_s)
+    )
+    bench.pipeline.report()
+    longer = {"window.duration_ms": 2000.0, "window.stride_ms": 1000.0}
+    bench.pipeline.set_settings(bench.settings.changed(longer))
+    bench.pipeline.report()
+    assert limits == [1.0, 3.0]
 
 
 def test_no_more_events_are_dropped_than_came(bench: PipelineBench) -> None:

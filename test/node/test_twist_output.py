@@ -21,15 +21,9 @@ from ros_nodes import ros_context
 from std_msgs.msg import Float64, String
 
 from emoflow_ros.core.estimate import Twist
+from emoflow_ros.node.scale import Scale, Scaling, to_speed
 from emoflow_ros.node.settings import ScaleOptions
-from emoflow_ros.node.twist_output import (
-    Scale,
-    Scaling,
-    make_publisher,
-    to_header,
-    to_speed,
-    to_twist_with_covariance,
-)
+from emoflow_ros.node.twist_output import make_publisher, to_header, to_twist_with_covariance
 
 NS = 1_000_000_000
 WAIT_S = 10.0
