@@ -13,6 +13,7 @@ from emoflow_ros.core.estimate import Status
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.stream_watch import DROPPED, FAILED, REFUSALS, StreamWatch
 from emoflow_ros.node.tasks import Loss, Result, Task
+from emoflow_ros.node.worker_load import WorkerLoad
 
 _LATENCIES_KEPT = 200
 _TOO_FAST = (
@@ -36,7 +37,7 @@ _ALSO_COUNTED = (
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.
-_PARTS = ("worker", "input", "qos", "camera", "frame")
+_PARTS = ("worker", "busy", "input", "qos", "camera", "frame")
 _MILD = ("gyro", "scale", "device")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)
@@ -53,6 +54,7 @@ class Statistics:
     Attributes:
         counts: by name; all of them are there from the start.
         stream: what comes in and goes out; told by `listen` and `give` from outside.
+        load: how much of the processor the worker gets.
         clock_drift_ppm: how much faster ROS time runs than the sensor's clock.
     """
 
@@ -70,6 +72,7 @@ class Statistics:
         self._dropped = DistinctEvents()
         self._dropped_epoch: int | None = None
         self.stream = StreamWatch(self.counts, clock)
+        self.load = WorkerLoad()
         self._reported = (clock(), Counter[str]())
 
     def add_events(self, count: int) -> None:
@@ -88,6 +91,7 @@ class Statistics:
         self.counts[f"windows_{result.estimate.by_events}"] += 1
         self._latencies.append(self._clock() - result.task.received)
         self._last_result = result
+        self.load.add(result)
         if result.estimate.status is not Status.OK:
             self.stream.miss(result.estimate.status)
 
@@ -189,6 +193,7 @@ class Statistics:
             p50, p95 = np.percentile(self._latencies, [50, 95]) * 1e3
             values["latency_p50_ms"] = f"{p50:.1f}"
             values["latency_p95_ms"] = f"{p95:.1f}"
+            values["processor_share"] = f"{self.load.share:.2f}"
         if self._last_result is not None:
             estimate = self._last_result.estimate
             values["status"] = str(estimate.status)

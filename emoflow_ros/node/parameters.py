@@ -34,6 +34,7 @@ _CONNECTIONS = (
     "imu.",
     "estimator.device",
     "on_missing_device",
+    "worker_nice",
 )
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")

@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
@@ -14,6 +13,7 @@ from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.answers import Answers
 from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
@@ -23,7 +23,7 @@ from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.settings import Settings, calibration_path
 from emoflow_ros.node.supervisor import STARTING, Supervisor
-from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Progress, Result, Task
+from emoflow_ros.node.tasks import Job, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
 _THROTTLE_S = 5.0
@@ -31,9 +31,6 @@ _THROTTLE_S = 5.0
 _REMINDER_S = 30.0
 # Without a twist for this long the diagnostics warn, unless windows are longer.
 _TWIST_S = 1.0
-_SLOW = (
-    "the estimation is slower than the events; give longer windows, or fewer estimator.max_events"
-)
 _ENDED = (
     "the thread that feeds the worker has ended, its traceback is in the log; "
     "clean up and configure the node, or start it anew"
@@ -95,6 +92,7 @@ class Pipeline:
             may_use_cpu=options.on_missing_device == "cpu",
             wake=wake,
             factory=factory,
+            nice=options.worker_nice,
         )
         made.callback(self._supervisor.stop)
         if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
@@ -104,6 +102,9 @@ class Pipeline:
         self.imu: ImuSource | None = None
         if imu.use != "off":
             self.imu = ImuSource(node, imu, self._hand_on, self.statistics, made)
+        self._answers = Answers(
+            node, self._supervisor.outcomes, self.statistics, self._outputs, self.imu
+        )
         self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def start(self) -> None:
@@ -213,26 +214,7 @@ class Pipeline:
 
     def take_outcomes(self) -> None:
         """Publish what the worker has done."""
-        outcomes = self._supervisor.outcomes
-        while not outcomes.empty():
-            match outcomes.get():
-                case Result() as result:
-                    if self._is_recent(result.task):
-                        self.statistics.add_result(result)
-                        if self.imu is not None:
-                            self.imu.judge(result.estimate)
-                        self._outputs.publish(result)
-                case Present() as present:
-                    if present.task.epoch == self._epoch:
-                        self.statistics.counts["twists_now"] += 1
-                        self._outputs.publish_present(present)
-                case Loss() as loss:
-                    self._report(loss)
-                case Notice(reason):
-                    self._node.get_logger().warning(reason)
-                    self.statistics.set_problem("device", Level.WARN, reason)
-                case Progress(line):
-                    self._node.get_logger().info(line)
+        self._answers.take(self._epoch)
 
     def report(self) -> Report:
         """Judge the time since the last report."""
@@ -240,6 +222,10 @@ class Pipeline:
         if self._supervisor.has_ended:
             self.statistics.set_problem("worker", Level.ERROR, _ENDED)
             self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)
+        timeout_s = self._settings.node.output.timeout_s
+        self.statistics.clear_problem("busy")
+        if hangs := self.statistics.load.hangs(self._supervisor.busy_s, timeout_s):
+            self.statistics.set_problem("busy", Level.WARN, hangs)
         if self.imu is not None and self._input is not None:
             self.imu.report()
         window = self._settings.config.window
@@ -268,7 +254,15 @@ class Pipeline:
         if not len(queue):  # else they are dropped perhaps: thinning takes longer than decoding
             jobs = [job.thinned() for job in jobs]
         for left_out in queue.put(jobs):
-            self._drop(left_out.task, self._supervisor.obstacle or _SLOW)
+            self._drop(left_out.task, self._why_slow())
+
+    def _why_slow(self) -> str:
+        settings, supervisor = self._settings, self._supervisor
+        return supervisor.obstacle or self.statistics.load.reason(
+            supervisor.busy_s,
+            settings.node.output.timeout_s,
+            on_cpu=settings.config.estimator.device == "cpu",
+        )
 
     def _wait(self, task: Task) -> None:
         self._node.get_logger().warning(
@@ -289,12 +283,6 @@ class Pipeline:
         self._waiting.clear()
         self.statistics.counts["windows_forgotten"] += forgotten
 
-    def _is_recent(self, task: Task) -> bool:
-        """Tell whether a window is of the present epoch; another one is forgotten."""
-        recent = task.epoch == self._epoch
-        self.statistics.counts["windows_forgotten"] += not recent
-        return recent
-
     def _miss_camera(self, reason: str) -> None:
         self._missing = reason
         self.statistics.set_problem("camera", Level.ERROR, reason)
@@ -308,15 +296,3 @@ class Pipeline:
         self._node.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
         waiting, self._waiting = list(self._waiting), deque()
         self._hand_on(waiting)
-
-    def _report(self, loss: Loss) -> None:
-        if loss.task is not None and not self._is_recent(loss.task):
-            loss = replace(loss, task=None)
-        self.statistics.add_loss(loss)
-        logger = self._node.get_logger()
-        if loss.trace:
-            logger.error(f"{loss.reason}\n{loss.trace}", throttle_duration_sec=_THROTTLE_S)
-        else:
-            logger.error(loss.reason, throttle_duration_sec=_THROTTLE_S)
-        if loss.task is not None:
-            self._outputs.publish_failed(loss.task, loss.reason)

@@ -205,6 +205,13 @@ class NodeOptions:
         "refuse to configure and, when lost, try again",
         choices=("cpu", "refuse"),
     )
+    worker_nice: int = option(
+        0,
+        "how much lower the worker's priority is than the node's (nice): above 0 the node keeps "
+        "reading the newest events on a busy machine, and fewer windows are estimated",
+        minimum=0,
+        maximum=19,
+    )
     input: InputOptions = field(default_factory=InputOptions)
     camera: CameraOptions = field(default_factory=CameraOptions)
     output: OutputOptions = field(default_factory=OutputOptions)

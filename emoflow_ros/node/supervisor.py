@@ -52,6 +52,7 @@ class Supervisor:
         may_use_cpu: whether to go on without the device that is asked for.
         wake: called in the supervisor's thread when there is an outcome.
         factory: `module:function` that makes the estimator in the worker.
+        nice: how much lower the worker's priority is than the node's.
 
     Attributes:
         queue: where jobs are put.
@@ -68,6 +69,7 @@ class Supervisor:
         may_use_cpu: bool,
         wake: Callable[[], None],
         factory: str = FACTORY,
+        nice: int = 0,
     ) -> None:
         self.queue: DropOldestQueue[Job] = DropOldestQueue(capacity)
         self.outcomes: SimpleQueue[Outcome] = SimpleQueue()
@@ -78,6 +80,7 @@ class Supervisor:
         self._on_cpu = False  # because the device failed
         self._wake = wake
         self._factory = factory
+        self._nice = nice
         self._context = multiprocessing.get_context("forkserver")
         # The factory imports its estimators late. That of the default profile is loaded beforehand.
         self._context.set_forkserver_preload(
@@ -126,6 +129,12 @@ class Supervisor:
         return None if worker is None else worker.pid
 
     @property
+    def busy_s(self) -> float:
+        """How long the worker has been busy with what it does now, s; 0 if it waits."""
+        worker = self._worker
+        return 0.0 if worker is None else worker.busy_s
+
+    @property
     def has_ended(self) -> bool:
         """Whether the thread has ended although nobody stopped it."""
         started = self._thread.ident is not None
@@ -134,7 +143,8 @@ class Supervisor:
     def stop(self) -> None:
         """End the worker at once, also in the middle of a window."""
         self._stopping.set()
-        self._kill()
+        if (worker := self._worker) is not None:
+            worker.kill()
         if self._thread.is_alive():
             self._thread.join(timeout=0.5)
         self._feed.stop()
@@ -220,7 +230,7 @@ class Supervisor:
         return True
 
     def _start_worker(self) -> None:
-        self._worker = WorkerProcess(self._context, self._factory, self._timeout_s)
+        self._worker = WorkerProcess(self._context, self._factory, self._timeout_s, self._nice)
         self._configured = None
         if self._stopping.is_set():
             raise WorkerDiedError("stopped")
@@ -280,11 +290,6 @@ class Supervisor:
 
     def _ready_worker(self) -> WorkerProcess | None:
         return self._worker if self._configured is not None else None
-
-    def _kill(self) -> None:
-        worker = self._worker
-        if worker is not None:
-            worker.kill()
 
     def _end_worker(self) -> None:
         worker, self._worker = self._worker, None

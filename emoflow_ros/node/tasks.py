@@ -98,12 +98,15 @@ class Result:
         estimate: `flow` and `motion` are None.
         pictures: those wished for, by name; none unless the status is OK and there is a flow.
         has_flow: whether there is one.
+        wall_s, processor_s: what the estimate took, and what of that all threads of the worker ran.
     """
 
     task: Task
     estimate: Estimate
     pictures: Arrays = field(default_factory=dict)
     has_flow: bool = True
+    wall_s: float = 0.0
+    processor_s: float = 0.0
 
     @property
     def stamp(self) -> int:

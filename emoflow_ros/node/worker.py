@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -52,8 +53,6 @@ _WARM_UP_LENGTH = 90 * NS_PER_MS
 WARM_UP_ENDS = tuple(_WARM_UP_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
 _WARM_UP_EVENTS = 60_000
 _WARM_UP_SPEED = 200  # px/s
-# The node's own process comes first on a busy machine: else the newest events wait unread.
-_NICE = 10
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
 _UNWRITABLE = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
@@ -61,18 +60,19 @@ _M_ARENA_MAX = -8  # of glibc's mallopt
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast
 
 
-def serve(connection: Connection, slices: Connection, factory: str) -> None:
+def serve(connection: Connection, slices: Connection, factory: str, nice: int) -> None:
     """Run the worker until the connection closes.
 
     Args:
         connection: to the node, for everything but slices.
         slices: to the node.
         factory: `module:function` that makes the estimator from a camera and a Config.
+        nice: how much lower its priority is than the node's.
     """
     # A terminal sends Ctrl-C to all of its processes; the node decides when its worker ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(_SWITCH_S)
-    os.nice(_NICE)
+    os.nice(nice)
     _share_memory()
     module, _, function = factory.partition(":")
     channel = Channel(connection)
@@ -190,7 +190,12 @@ class _Worker:
         if header["cold"]:
             self._estimator.reset()
         window = unpack_window(header, arrays)
+        began = time.monotonic(), time.process_time()
         estimate = self._estimator.estimate(window)
+        work = {
+            "wall_s": time.monotonic() - began[0],
+            "processor_s": time.process_time() - began[1],
+        }
         answer, values = pack(estimate)
         if estimate.status is Status.OK and not all(
             np.isfinite(value).all() for value in values.values()
@@ -199,6 +204,7 @@ class _Worker:
             estimate = replace(estimate, status=Status.DIVERGED, flow=None, motion=None)
             answer, values = pack(estimate)
         self._last = estimate, window.gyro
+        answer |= work
         if estimate.status is not Status.OK:
             return answer, values
         window = window.since(estimate.t_start)

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerContext
@@ -25,6 +26,7 @@ class WorkerProcess:
         context: how processes are started.
         factory: `module:function` that makes the estimator.
         stall_s: time for a transfer that has begun.
+        nice: how much lower its priority is than the node's.
 
     Attributes:
         pid: its process id.
@@ -33,11 +35,16 @@ class WorkerProcess:
         WorkerDiedError: it cannot be started.
     """
 
-    def __init__(self, context: ForkServerContext, factory: str, stall_s: float) -> None:
+    def __init__(
+        self, context: ForkServerContext, factory: str, stall_s: float, nice: int = 0
+    ) -> None:
         mine, its = context.Pipe()
         my_slices, its_slices = context.Pipe()
         self._process = context.Process(
-            target=serve, args=(its, its_slices, factory), name="estimator_worker", daemon=True
+            target=serve,
+            args=(its, its_slices, factory, nice),
+            name="estimator_worker",
+            daemon=True,
         )
         try:
             self._process.start()
@@ -50,6 +57,7 @@ class WorkerProcess:
             its_slices.close()
         self.pid: int | None = self._process.pid
         self._killed_because = ""
+        self._asked_at: float | None = None
         self._channel = Channel(mine, stall_s)
         self._slices = Channel(my_slices, stall_s)
 
@@ -70,7 +78,17 @@ class WorkerProcess:
         Raises:
             WorkerDiedError: the worker is silent for longer, or dies.
         """
-        return self._ask(self._channel, header, arrays, limit, note)
+        self._asked_at = time.monotonic()
+        try:
+            return self._ask(self._channel, header, arrays, limit, note)
+        finally:
+            self._asked_at = None
+
+    @property
+    def busy_s(self) -> float:
+        """How long a request, other than a slice, has been without an answer, s; 0 without one."""
+        asked_at = self._asked_at
+        return 0.0 if asked_at is None else time.monotonic() - asked_at
 
     def estimate_slice(
         self, header: Mapping[str, Any], arrays: Arrays, limit: float

@@ -161,7 +161,7 @@ def test_what_the_node_connects_to_is_not_dynamic(name: str, when: Change) -> No
         ("camera.calibration", "camera.calibration_file", "camera.calibration_file, camera.frame"),
         ("input.queue_window", "input.queue_windows", "input.type, input.timestamps"),
         ("output.twistrate", "output.twist_rate", "output.timeout_s, output.diagnostics_s"),
-        ("speed", "scale.speed", "autostart, on_missing_device, input.type"),
+        ("speed", "scale.speed", "autostart, on_missing_device, worker_nice, input"),
     ],
 )
 def test_unknown_name_is_refused_with_the_nearest_and_those_beside_it(

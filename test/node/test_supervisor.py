@@ -4,12 +4,14 @@ import re
 import signal
 import time
 from collections.abc import Callable
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
-from supervisor_bench import CAMERA, Bench
+from supervisor_bench import CAMERA, WAIT_S, Bench
 
 from emoflow_ros import compiled_code
 from emoflow_ros.core.camera import Camera
@@ -150,6 +152,34 @@ def test_exception_costs_the_window_but_not_the_worker(bench: Callable[..., Benc
     b.put()
     assert b.result().estimate.angular[1] == 1  # reset: started cold
     assert b.supervisor.pid == first
+
+
+def test_worker_tells_its_processor_time_and_for_how_long_it_is_busy(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench("Slow")  # sleeps for 50 ms
+    b.put()
+    result = b.result()
+    assert result.wall_s > 0.05
+    assert 0 <= result.processor_s < result.wall_s - 0.04
+    b = bench("Busy")
+    assert b.supervisor.busy_s == 0.0
+    b.put()
+    deadline = time.monotonic() + WAIT_S
+    while b.supervisor.busy_s < 0.2:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("nice", [0, 7])
+def test_worker_has_the_priority_of_the_node_or_a_lower_one(nice: int) -> None:
+    worker = WorkerProcess(get_context("forkserver"), "fake_estimators:Recorder", 10.0, nice)
+    try:
+        worker.request({"kind": "warm_up"}, {}, WAIT_S)
+        assert worker.pid is not None
+        assert psutil.Process(worker.pid).nice() == psutil.Process().nice() + nice
+    finally:
+        worker.end()
 
 
 def test_stop_ends_a_busy_worker_at_once(bench: Callable[..., Bench]) -> None:
