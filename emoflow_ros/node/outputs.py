@@ -99,7 +99,7 @@ class Outputs:
             # Pictures first: under load twists sent before a flow image, which is larger than Fast
             # DDS's shared memory (512 KiB), came seconds late or never.
             self._publish_pictures(result)
-            problems["frame"] = self._publish_twists(result, scaling.factor)
+            problems["frame"] = self._publish_twists(result, scaling.speed)
         for part, problem in problems.items():
             self._statistics.clear_problem(part)
             if problem:
@@ -110,9 +110,9 @@ class Outputs:
     def publish_present(self, present: Present) -> None:
         """Publish the motion of now."""
         stamp = present.task.to_ros(present.found.twist.t)
-        factor = self._scale.at(stamp).factor
+        speed = self._scale.at(stamp).speed
         with contextlib.suppress(NoTransformError):  # the next window's status will say so
-            if self._twists.publish_present(present, factor):
+            if self._twists.publish_present(present, speed):
                 self._statistics.stream.give()
 
     def publish_dropped(self, task: Task, reason: str) -> None:
@@ -123,10 +123,10 @@ class Outputs:
         """Publish the status of a window that the worker failed at for this reason."""
         self._publish_status(judge_failed(task, reason, self._now()))
 
-    def _publish_twists(self, result: Result, factor: float) -> str:
+    def _publish_twists(self, result: Result, speed: float | None) -> str:
         """Publish the twists, or say why not."""
         try:
-            self._twists.publish(result, factor)
+            self._twists.publish(result, speed)
         except NoTransformError as error:
             return f"{error}; no twist is published"
         self._statistics.stream.give()

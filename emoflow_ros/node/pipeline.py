@@ -15,13 +15,14 @@ from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.answers import Answers
 from emoflow_ros.node.backlog import LeftOut
+from emoflow_ros.node.calibration_url import calibration_path
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level, Report
-from emoflow_ros.node.settings import Settings, calibration_path
+from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import STARTING, Supervisor
 from emoflow_ros.node.tasks import Job, Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside

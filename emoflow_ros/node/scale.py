@@ -38,12 +38,12 @@ class Scaling:
     """The scale of one window.
 
     Attributes:
-        factor: of the unit direction: a speed in m/s, or 1.
+        speed: what the unit direction is multiplied by, m/s; None if it stays one.
         source: where it comes from, as `scale.source` names it.
         problem: why it is not what was asked for; empty if it is.
     """
 
-    factor: float = 1.0
+    speed: float | None = None
     source: str = "none"
     problem: str = ""
 

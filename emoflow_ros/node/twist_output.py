@@ -17,10 +17,10 @@ from emoflow_ros.core.estimate import (
     PresentTwist,
     Twist,
     at_middle,
-    covariance_at_speed,
     covariance_in_frame,
 )
 from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.node.linear_covariance import published_covariance
 from emoflow_ros.node.settings import OutputOptions
 from emoflow_ros.node.target_frame import LATEST, Matrix, make_target_frame
 from emoflow_ros.node.tasks import Present, Result, Task
@@ -33,7 +33,7 @@ class TwistOutput:
 
     Args:
         node: to publish with.
-        options: in which frame.
+        options: in which frame, and how the covariance says that nothing is known.
         made: gets the calls that take the topics away.
         present: whether motions of now will come; else `egomotion/twist` carries the windows'.
 
@@ -46,27 +46,28 @@ class TwistOutput:
     ) -> None:
         self._frame = make_target_frame(node, options)
         made.callback(self._frame.close)
+        self._form = options.linear_covariance
         self._last = (-1, 0)  # epoch and stamp
         self._twist = make_publisher(node, TwistStamped, "egomotion/twist", made)
         kind = TwistWithCovarianceStamped
         self._of_windows = make_publisher(node, kind, "egomotion/twist_with_covariance", made)
         self._of_now = make_publisher(node, kind, "egomotion/twist_now", made) if present else None
 
-    def publish(self, result: Result, factor: float) -> None:
-        """Publish a window's twist, its linear part times this factor.
+    def publish(self, result: Result, speed: float | None) -> None:
+        """Publish a window's twist at this speed, m/s, or with a unit direction.
 
         Raises:
             NoTransformError: the rotation into the frame is not known at the window's time.
         """
         rotation = self._frame.rotation(result.task.frame_id, result.stamp)
         found = PresentTwist(at_middle(result.estimate), result.estimate.covariance)
-        message = self._to_message(result.task, result.stamp, found, factor, rotation)
+        message = self._to_message(result.task, result.stamp, found, speed, rotation)
         if self._of_now is None:
             self._publish_increasing(result.task, message)
         self._of_windows.publish(message)
 
-    def publish_present(self, present: Present, factor: float) -> bool:
-        """Publish the motion of now, its linear part times this factor, if it is the newest.
+    def publish_present(self, present: Present, speed: float | None) -> bool:
+        """Publish the motion of now, in the same way, if it is the newest.
 
         Returns:
             Whether it is published.
@@ -77,7 +78,7 @@ class TwistOutput:
         assert self._of_now is not None
         task, found = present.task, present.found
         rotation = self._frame.rotation(task.frame_id, LATEST)  # tf comes later than events
-        message = self._to_message(task, task.to_ros(found.twist.t), found, factor, rotation)
+        message = self._to_message(task, task.to_ros(found.twist.t), found, speed, rotation)
         is_newest = self._publish_increasing(task, message)
         if is_newest:
             self._of_now.publish(message)
@@ -92,13 +93,14 @@ class TwistOutput:
         return True
 
     def _to_message(
-        self, task: Task, stamp: int, found: PresentTwist, factor: float, rotation: Matrix
+        self, task: Task, stamp: int, found: PresentTwist, speed: float | None, rotation: Matrix
     ) -> TwistWithCovarianceStamped:
-        twist = found.twist.at_speed(factor).in_frame(rotation)
-        covariance = covariance_at_speed(found.covariance, factor)
+        twist = found.twist if speed is None else found.twist.at_speed(speed)
+        direction = found.twist.linear
+        covariance = published_covariance(found.covariance, direction, speed, self._form)
         covariance = covariance_in_frame(covariance, rotation)
         header = to_header(stamp, self._frame.name(task.frame_id))
-        return to_twist_with_covariance(twist, covariance, header)
+        return to_twist_with_covariance(twist.in_frame(rotation), covariance, header)
 
 
 def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
@@ -125,10 +127,7 @@ def to_ns(stamp: Time) -> int:
 def to_twist_with_covariance(
     twist: Twist, covariance: NDArray[np.float64], header: Header
 ) -> TwistWithCovarianceStamped:
-    """Build the twist with its covariance, row-major over (linear, angular).
-
-    covariance[0] is -1 where translation is not observable.
-    """
+    """Build the twist with its covariance, row-major over (linear, angular)."""
     message = TwistWithCovarianceStamped(header=header)
     message.twist.twist = _twist(twist)
     message.twist.covariance = np.asarray(covariance, np.float64).ravel()

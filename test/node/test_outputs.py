@@ -114,7 +114,8 @@ def test_tracks_are_a_marker_in_front_of_the_camera(bench: Callable[..., Bench])
 
 
 def test_twists_are_in_the_target_frame_and_pictures_are_not(bench: Callable[..., Bench]) -> None:
-    b = bench(**{name.replace(".", "__"): value for name, value in BODY.items()})
+    body = {name.replace(".", "__"): value for name, value in BODY.items()}
+    b = bench(**body, output__linear_covariance="rep145")
     covariance = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     b.publish(covariance=covariance, pictures={Picture.FLOW: np.zeros((6, 8, 2), np.float32)})
     for topic in ("twist", "twist_with_covariance"):
@@ -134,6 +135,7 @@ def test_unobservable_translation_stays_marked_when_scaled_and_rotated(
     b = bench(
         scale__source="parameter",
         scale__speed=3.0,
+        output__linear_covariance="rep145",
         **{name.replace(".", "__"): value for name, value in BODY.items()},
     )
     covariance = np.diag([-1.0, 0.0, 0.0, 4.0, 5.0, 6.0])
@@ -143,6 +145,23 @@ def test_unobservable_translation_stays_marked_when_scaled_and_rotated(
     found = np.reshape(message.twist.covariance, (6, 6))
     np.testing.assert_allclose(found, np.diag([-1.0, 0, 0, 6.0, 4.0, 5.0]), atol=1e-12)
     assert b.status()[1] == "ok, translation not observable"
+
+
+def test_covariance_is_wide_along_a_direction_without_a_scale(bench: Callable[..., Bench]) -> None:
+    b = bench(**{name.replace(".", "__"): value for name, value in BODY.items()})
+    for scale in ("none", "parameter"):
+        b.outputs.set_scale(ScaleOptions(source=scale, speed=2.0))
+        b.publish(1000 if scale == "none" else 1010, covariance=np.diag([1.0, 2, 3, 4, 5, 6]))
+        twist = b.last("twist_with_covariance").twist
+        found = np.reshape(twist.covariance, (6, 6))[:3, :3]
+        travel = np.array(vector(twist.twist.linear))
+        if scale == "none":
+            np.testing.assert_allclose(travel @ found @ travel, 1e6, rtol=1e-5)
+            found -= 1e6 * np.outer(travel, travel)
+        np.testing.assert_allclose(found, np.diag([3.0, 1, 2]) * (travel @ travel), atol=1e-8)
+    b.publish(1020, covariance=np.diag([-1.0, 0, 0, 4, 5, 6]), linear=np.zeros(3))
+    found = np.reshape(b.last("twist_with_covariance").twist.covariance, (6, 6))
+    np.testing.assert_allclose(found, np.diag([1e6, 1e6, 1e6, 6, 4, 5]), atol=1e-8)
 
 
 def test_status_tells_the_scale_that_was_applied(bench: Callable[..., Bench]) -> None:

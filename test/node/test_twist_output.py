@@ -123,7 +123,7 @@ def test_speed_of_a_message_without_a_stamp_has_no_time() -> None:
 
 def test_scale_from_parameters_needs_no_topic() -> None:
     scale = Scale(None, ScaleOptions())
-    assert scale.at(5) == Scaling(1.0, "none")
+    assert scale.at(5) == Scaling(None, "none")
     scale.set_options(ScaleOptions(source="parameter", speed=2.5))
     assert scale.at(5) == Scaling(2.5, "parameter")
 
@@ -141,7 +141,7 @@ def test_speed_is_the_length_of_the_velocity_at_the_stamp(
     assert scale.at(100 * NS) == Scaling(7.0, "topic")
     assert scale.at(100 * NS + NS // 2) == Scaling(7.0, "topic")
     stale = scale.at(101 * NS)
-    assert (stale.factor, stale.source) == (1.0, "none")
+    assert (stale.speed, stale.source) == (None, "none")
     assert (
         stale.problem == "no speed on speed within 0.5 s of the window; linear is a unit direction"
     )
