@@ -6,7 +6,7 @@ What is wrong with one becomes an InputError of one line, before anything is sta
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.utilities import remove_ros_args
 
+from emoflow_ros.core.options import unknown_option
 from emoflow_ros.errors import InputError
 
 # What rcl says, besides where in its source it does: `Couldn't parse KIND: 'ARGUMENT'. Error: WHY`.
@@ -132,6 +133,37 @@ def parameter_file(text: str, sensors: Path) -> str:
         return text
     known = ", ".join(sorted(path.stem for path in sensors.glob("*.yaml")))
     raise InputError("params_file", f"no file '{text}'", f"give a path or one of {known}")
+
+
+def is_launched(*files: str) -> bool:
+    """Whether `ros2 launch` was given one of these launch files, and no other that includes it."""
+    return any(Path(argument).name in files for argument in sys.argv[1:])
+
+
+def refuse_unknown(file: str, known: Iterable[str]) -> None:
+    """Refuse arguments of `ros2 launch` that a launch file does not have.
+
+    Where another file includes it, the arguments are those of that one, and not looked at.
+
+    Raises:
+        InputError: there is one, with the nearest name.
+    """
+    if not is_launched(file):
+        return
+    given = [name for name, is_argument, _ in (a.partition(":=") for a in sys.argv) if is_argument]
+    names = list(known)
+    if unknown := [name for name in given if name not in names]:
+        raise unknown_option(unknown[0], names)
+
+
+def require_success(name: str, code: int) -> None:
+    """Refuse the exit code of a process that was launched.
+
+    Raises:
+        InputError: it is not 0. In a launch file that ends all, with an exit code.
+    """
+    if code:
+        raise InputError(name, f"ended with exit code {code}", "what it said last tells why")
 
 
 def require_path(name: str, text: str) -> None:
