@@ -34,6 +34,7 @@ _WARNINGS = {
 _ALSO_COUNTED = (
     *("messages", "events", "events_thinned", "events_dropped", "events_outside", "seq_gaps"),
     *("internal_errors", "windows", "windows_forgotten", "twists_now"),
+    "pictures_left_out",
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.
@@ -92,6 +93,7 @@ class Statistics:
         self._latencies.append(self._clock() - result.task.received)
         self._last_result = result
         self.load.add(result)
+        self.counts["pictures_left_out"] += result.left_out
         if result.estimate.status is not Status.OK:
             self.stream.miss(result.estimate.status)
 

@@ -32,6 +32,7 @@ topics out:
   egomotion/twist_with_covariance                    that in the middle of each window
   egomotion/status                                   the verdict on every window
   flow/image, flow/color, flow/iwe, flow/tracks      only while somebody subscribes
+  flow/camera_info                                   the calibration beside the images
   /diagnostics                                       what is wrong, rates, latency, losses
 
 Nothing is estimated without a calibration: where nobody publishes camera_info, give a

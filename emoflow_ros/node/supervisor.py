@@ -4,9 +4,8 @@ import contextlib
 import multiprocessing
 import signal
 import threading
-import traceback
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from queue import SimpleQueue
 from typing import Any
 
@@ -15,6 +14,7 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack_window, unpack
+from emoflow_ros.node.picture_budget import PictureBudget
 from emoflow_ros.node.tasks import (
     Arrays,
     DropOldestQueue,
@@ -26,7 +26,7 @@ from emoflow_ros.node.tasks import (
     Task,
 )
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
-from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess
+from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess, why_lost
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 STARTING = "the worker is starting"
@@ -93,6 +93,7 @@ class Supervisor:
         )
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
+        self._pictures = PictureBudget()
         self._task: Task | None = None
         self._feed = SliceFeed(self._ready_worker, timeout_s, self._tell)
         self._worker: WorkerProcess | None = None
@@ -192,9 +193,12 @@ class Supervisor:
         task = job.task
         cold = task.epoch != self._epoch
         self._epoch = task.epoch
+        wished = job.wishes.pictures
+        drawn = self._pictures.choose(wished, task.received, job.interval_s)
+        wishes = asdict(replace(job.wishes, pictures=drawn))
         interval, columns = pack_window(job.thinned().task.window)
         header, arrays = self._request(
-            {"kind": "window", **interval, "cold": cold, "wishes": asdict(job.wishes)}, columns
+            {"kind": "window", **interval, "cold": cold, "wishes": wishes}, columns
         )
         if header.get("fatal"):
             self._fail_over(header)
@@ -203,7 +207,10 @@ class Supervisor:
         if "error" in header:
             outcome = Loss(f"a window failed: {header['error']}", worker=False, task=task)
         else:
-            outcome = unpack(task, header, arrays)
+            result = unpack(task, header, arrays)
+            self._pictures.note(result, header.get("drawing_s", {}))
+            left_out = len(wished) - len(drawn)
+            outcome = replace(result, camera=job.camera, left_out=left_out)
         self._task = None
         self._tell(outcome)
 
@@ -272,12 +279,7 @@ class Supervisor:
 
     def _lose_worker(self, error: Exception) -> None:
         """End the worker, so that the next one starts from nothing, and tell why."""
-        if isinstance(error, WorkerDiedError):
-            reason, trace = f"{error}; it is started again", ""
-        else:
-            name = type(error).__name__
-            reason = f"an error in the node ({name}: {error}); the worker is started again"
-            trace = traceback.format_exc()
+        reason, trace = why_lost(error)
         self.obstacle = reason
         self._end_worker()
         task, self._task = self._task, None

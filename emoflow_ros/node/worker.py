@@ -14,8 +14,7 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -26,20 +25,14 @@ from threadpoolctl import threadpool_limits
 from emoflow_ros import compiled_code
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
+from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.products import (
-    Tracker,
-    Tracks,
-    flow_to_rgb,
-    sharpened_events,
-    trails_at_unit_depth,
-)
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.channel import Channel, pack, pack_present, unpack_window
-from emoflow_ros.node.tasks import Arrays, Picture, Wishes
+from emoflow_ros.node.painter import Painter
+from emoflow_ros.node.tasks import Arrays, Wishes
 
 if TYPE_CHECKING:
     from emoflow_ros.core.present_motion import PresentMotion
@@ -57,7 +50,6 @@ _WARM_UP_SPEED = 200  # px/s
 _SWITCH_S = 0.001
 _UNWRITABLE = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
 _M_ARENA_MAX = -8  # of glibc's mallopt
-_TRACKED = 4  # windows: longer tracks tangle where the motion is fast
 
 
 def serve(connection: Connection, slices: Connection, factory: str, nice: int) -> None:
@@ -209,57 +201,7 @@ class _Worker:
             return answer, values
         window = window.since(estimate.t_start)
         values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)
-        return answer, values
-
-
-class Painter:
-    """Draws the pictures of one window after another.
-
-    Args:
-        camera: whose windows they are.
-    """
-
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
-        self._tracker: Tracker | None = None
-        self._recent: deque[Tracks] = deque(maxlen=_TRACKED)
-
-    def draw(self, wishes: Wishes, estimate: Estimate, window: Window) -> Arrays:
-        """Draw the pictures that are wanted, of the sensor's size, at the estimate's time.
-
-        Returns:
-            Arrays by `Picture`: the flow (height, width, 2) in px/s, NaN = none, with a
-            flow_stride of n only its pixels (n * row, n * column); its colours
-            (height, width, 3); the sharpened events (height, width); the point tracks up to
-            the window's end as line segments (S, 2, 4), see `trails_at_unit_depth`.
-        """
-        flow = estimate.flow
-        if flow is None:
-            return {}
-        pictures: Arrays = {}
-        if {Picture.FLOW, Picture.COLOR} & set(wishes.pictures):
-            pictures[Picture.FLOW] = np.asarray(flow.velocity(estimate.t), np.float32)
-        if Picture.COLOR in wishes.pictures:
-            longest = wishes.flow_color_max or None
-            pictures[Picture.COLOR] = flow_to_rgb(pictures[Picture.FLOW], longest)
-        if Picture.FLOW in wishes.pictures:
-            stride = wishes.flow_stride
-            pictures[Picture.FLOW] = pictures[Picture.FLOW][::stride, ::stride]
-        if Picture.EVENTS in wishes.pictures:
-            size = (self._camera.width, self._camera.height)
-            pictures[Picture.EVENTS] = sharpened_events(window, flow, estimate.t, *size)
-        if Picture.TRACKS in wishes.pictures:
-            tracks = self._follow(flow, window, wishes.tracks)
-            pictures[Picture.TRACKS] = trails_at_unit_depth(tracks, self._camera)
-        return {name: pictures[name] for name in wishes.pictures}
-
-    def _follow(self, flow: FlowSampler, window: Window, count: int) -> Sequence[Tracks]:
-        """Carry the points through the window; return the last windows' tracks."""
-        if self._tracker is None:
-            size = (self._camera.width, self._camera.height)
-            self._tracker = Tracker(count, *size, longest=_TRACKED)
-        self._recent.append(self._tracker.follow(flow, window.t_start, window.t_end))
-        return self._recent
+        return answer | {"drawing_s": self._painter.took}, values
 
 
 def _describe(error: Exception) -> dict[str, Any]:

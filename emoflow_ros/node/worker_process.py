@@ -19,6 +19,15 @@ class WorkerDiedError(Exception):
     """The worker ended, or was ended, before it answered."""
 
 
+def why_lost(error: Exception) -> tuple[str, str]:
+    """Say why a worker is given up, while the exception is handled; the traceback if it is ours."""
+    if isinstance(error, WorkerDiedError):
+        return f"{error}; it is started again", ""
+    name = type(error).__name__
+    reason = f"an error in the node ({name}: {error}); the worker is started again"
+    return reason, traceback.format_exc()
+
+
 class WorkerProcess:
     """A worker, started; one thread uses it, another one has slices estimated, any may kill it.
 

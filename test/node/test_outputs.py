@@ -11,16 +11,13 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from builtin_interfaces.msg import Time
 from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image
-from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Statistics
-from emoflow_ros.node.outputs import Outputs, to_diagnostics, to_image, to_tracks
+from emoflow_ros.node.outputs import Outputs, to_diagnostics
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.tasks import Picture, Present, Result, Task
@@ -82,35 +79,6 @@ def result(start_ms: int = 1000, pictures: Any = None, **changes: Any) -> Result
 
 def vector(v: Any) -> list[float]:
     return [v.x, v.y, v.z]
-
-
-def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Bench]) -> None:
-    b = bench(
-        output__tracks=7,
-        output__flow_color_max=3.0,
-        output__flow_stride=4,
-    )
-    assert b.outputs.wishes.pictures == ()
-    for picture in Picture:
-        b.node.publishers[picture].subscribers = 1
-        assert b.outputs.wishes.pictures == (picture,)
-        b.node.publishers[picture].subscribers = 0
-    wishes = b.outputs.wishes
-    assert (wishes.tracks, wishes.flow_color_max) == (7, 3.0)
-    assert wishes.flow_stride == 4
-
-
-def test_tracks_are_a_marker_in_front_of_the_camera(bench: Callable[..., Bench]) -> None:
-    b = bench()
-    lines = np.float32([[[0, 0.5, 1, 0], [0.25, 0.5, 1, 0.5]], [[-1, 0, 1, 0.5], [-1, 0.5, 1, 1]]])
-    b.publish(pictures={Picture.TRACKS: lines})
-    [marker] = b.node.messages("flow/tracks")
-    assert (marker.type, marker.action, marker.ns) == (marker.LINE_LIST, marker.ADD, "tracks")
-    assert marker.header.frame_id == "optical"
-    assert (marker.header.stamp.sec, marker.header.stamp.nanosec) == (1, 5 * MS)
-    assert [vector(p) for p in marker.points] == lines.reshape(4, 4)[:, :3].tolist()
-    assert [c.a for c in marker.colors] == [0.0, 0.5, 0.5, 1.0]
-    assert (marker.pose.orientation.w, marker.frame_locked) == (1.0, True)
 
 
 def test_twists_are_in_the_target_frame_and_pictures_are_not(bench: Callable[..., Bench]) -> None:
@@ -264,30 +232,6 @@ def test_only_twists_that_are_published_count_as_given(
     assert given == ["twist"]
     b.publish(1020)
     assert given == ["twist"] * 2
-
-
-def test_flow_image_survives_serialisation() -> None:
-    flow = np.arange(24, dtype=np.float32).reshape(3, 4, 2)
-    flow[1, 2] = np.nan
-    message = to_image(flow, "32FC2", HEADER)
-    message = deserialize_message(serialize_message(message), Image)
-    assert (message.encoding, message.height, message.width) == ("32FC2", 3, 4)
-    assert message.step == 4 * 2 * 4
-    back = np.frombuffer(message.data, "<f4").reshape(3, 4, 2)
-    np.testing.assert_array_equal(back, flow)
-
-
-def test_track_marker_survives_serialisation() -> None:
-    lines = np.float32([[[0.1, -0.2, 1.0, 0.25], [0.3, -0.2, 1.0, 0.75]]])
-    message = to_tracks(lines, HEADER)
-    message = deserialize_message(serialize_message(message), Marker)
-    assert (message.type, message.id, message.header) == (Marker.LINE_LIST, 0, HEADER)
-    points = [(p.x, p.y, p.z) for p in message.points]
-    np.testing.assert_array_equal(np.float32(points), lines[0, :, :3])
-    assert [c.a for c in message.colors] == [0.25, 0.75]
-    assert len({(c.r, c.g, c.b) for c in message.colors}) == 1
-    assert message.lifetime.sec == 2
-    assert to_tracks(np.empty((0, 2, 4), np.float32), HEADER).points == []
 
 
 def test_diagnostics_hold_level_reason_and_numbers() -> None:

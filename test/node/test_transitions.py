@@ -122,7 +122,7 @@ CONFIGURING: dict[str, Break] = {
     "supervisor": replaced(pipeline, "Supervisor"),
     "twists": replaced(outputs, "TwistOutput"),
     "scale": replaced(outputs, "Scale"),
-    **{f"topic {n}": of_node("create_lifecycle_publisher", n) for n in range(1, 8)},
+    **{f"topic {n}": of_node("create_lifecycle_publisher", n) for n in range(1, 9)},
     "diagnostics": of_node("create_publisher"),
     "timer": of_node("create_timer"),
     "thread": replaced(FakeSupervisor, "start"),
