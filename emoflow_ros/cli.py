@@ -1,6 +1,7 @@
 """The installed commands, and what all of them share: one line for bad input, exit codes."""
 
 import os
+import resource
 import select
 import signal
 import sys
@@ -11,11 +12,13 @@ from types import FrameType
 from typing import TextIO
 
 from emoflow_ros.compiled_code import choose_folder
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, keep_traceback
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141  # as a shell reports SIGPIPE
+
+_ENOUGH = 2 * 2**30  # bytes of address space
 
 # ros2 launch passes on a Ctrl-C that the terminal has sent to everybody already.
 _SAME_CTRL_C_S = 1.0
@@ -27,7 +30,7 @@ def run(command: Callable[[], int | None]) -> int:
     Returns:
         The command's own code (None counts as 0), 2 for an InputError (its line goes to
         standard error), 130 for Ctrl-C, 141 where nobody reads the output any more, as after
-        `| head`. Anything else is a bug and keeps its traceback.
+        `| head`, 2 for want of memory, too. Anything else is a bug and keeps its traceback.
     """
     try:
         _take_ctrl_c_once()
@@ -47,6 +50,27 @@ def run(command: Callable[[], int | None]) -> int:
         for stream in unread:  # what is buffered would raise again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return EXIT_NO_READER
+    except (MemoryError, ImportError, OSError) as error:
+        if not (line := _want_of_memory(error)):
+            raise
+        print(f"error: {line}{keep_traceback(error)}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+
+
+def _want_of_memory(error: Exception) -> str:
+    """Say that there is too little memory, if that is what an exception means; else nothing.
+
+    Under a limit of the address space libraries cannot be loaded, and modules not be imported.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    is_limited = limit != resource.RLIM_INFINITY and limit < _ENOUGH
+    kind = type(error).__name__
+    if is_limited:
+        return (
+            f"memory: {limit >> 20} MiB of address space (ulimit -v) are not enough ({kind}); "
+            f"remove the limit, or raise it to {_ENOUGH >> 20} MiB"
+        )
+    return "memory: there is not enough; free some" if isinstance(error, MemoryError) else ""
 
 
 def _take_ctrl_c_once() -> None:

@@ -38,7 +38,7 @@ _ALSO_COUNTED = (
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.
-_PARTS = ("worker", "busy", "input", "qos", "camera", "frame")
+_PARTS = ("worker", "busy", "input", "qos", "camera", "frame", "topic")
 _MILD = ("gyro", "scale", "device")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)

@@ -4,14 +4,13 @@ import contextlib
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode
-from std_msgs.msg import Header
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.diagnostics_topic import to_status
 from emoflow_ros.node.picture_output import PictureOutput
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.scale import Scale
@@ -158,23 +157,6 @@ def judge_dropped(task: Task, reason: str, now: int) -> Report:
 def judge_failed(task: Task, reason: str, now: int) -> Report:
     """Judge a window that the worker failed at for this reason; `now` is ROS time, ns."""
     return Report(Level.ERROR, reason, _lost_values(task, now, "failed"))
-
-
-def to_diagnostics(name: str, report: Report, stamp: Time) -> DiagnosticArray:
-    """Build the diagnostics of one node."""
-    status = to_status(f"{name}: estimator", name, report)
-    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
-
-
-def to_status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
-    """Build one status: level, message and numbers of a report."""
-    return DiagnosticStatus(
-        level=bytes([report.level]),
-        name=name,
-        message=report.message,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
-    )
 
 
 def _estimate_message(result: Result) -> str:

@@ -8,7 +8,6 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from builtin_interfaces.msg import Time
 from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
 
@@ -17,8 +16,8 @@ from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Statistics
-from emoflow_ros.node.outputs import Outputs, to_diagnostics
-from emoflow_ros.node.reports import Level, Report
+from emoflow_ros.node.outputs import Outputs
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.tasks import Picture, Present, Result, Task
 from emoflow_ros.node.twist_output import to_header
@@ -232,12 +231,3 @@ def test_only_twists_that_are_published_count_as_given(
     assert given == ["twist"]
     b.publish(1020)
     assert given == ["twist"] * 2
-
-
-def test_diagnostics_hold_level_reason_and_numbers() -> None:
-    report = Report(Level.WARN, "late", {"windows_ok": "3"})
-    message = to_diagnostics("/ns/estimator", report, Time(sec=3))
-    [status] = message.status
-    assert (status.level, status.message) == (b"\x01", "late")
-    assert [(v.key, v.value) for v in status.values] == [("windows_ok", "3")]
-    assert message.header.stamp.sec == 3

@@ -123,8 +123,6 @@ CONFIGURING: dict[str, Break] = {
     "twists": replaced(outputs, "TwistOutput"),
     "scale": replaced(outputs, "Scale"),
     **{f"topic {n}": of_node("create_lifecycle_publisher", n) for n in range(1, 9)},
-    "diagnostics": of_node("create_publisher"),
-    "timer": of_node("create_timer"),
     "thread": replaced(FakeSupervisor, "start"),
 }
 ACTIVATING: dict[str, Break] = {
@@ -141,8 +139,6 @@ PAUSING: dict[str, Break] = {
 RELEASING: dict[str, Break] = {
     "scale": replaced(outputs.Scale, "close"),
     "topic": of_node("destroy_lifecycle_publisher", 3),
-    "diagnostics": of_node("destroy_publisher"),
-    "timer": of_node("destroy_timer"),
     "thread": replaced(FakeSupervisor, "stop"),
 }
 
