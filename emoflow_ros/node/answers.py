@@ -10,8 +10,7 @@ from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Loss, Notice, Outcome, Present, Progress, Result, Task
-
-_THROTTLE_S = 5.0
+from emoflow_ros.node.throttled import throttled
 
 
 class Answers:
@@ -70,6 +69,6 @@ class Answers:
             loss = replace(loss, task=None)
         self._statistics.add_loss(loss)
         trace = f"\n{loss.trace}" if loss.trace else ""
-        self._node.get_logger().error(f"{loss.reason}{trace}", throttle_duration_sec=_THROTTLE_S)
+        self._node.get_logger().error(f"{loss.reason}{trace}", **throttled())
         if loss.task is not None:
             self._outputs.publish_failed(loss.task, loss.reason)

@@ -20,6 +20,7 @@ from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import EventFeed, fetch_waiting
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.ros_arguments import refused_values
+from emoflow_ros.node.throttled import throttled
 from emoflow_ros.node.topic_search import (
     EventTopic,
     TopicSearch,
@@ -33,7 +34,6 @@ _EVENT_DEPTH = 250
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _POLICIES = QoSOverridingOptions.with_default_policies().policy_kinds
 _LOOK_S = 0.1
-_THROTTLE_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,12 @@ class EventSource:
         except InputError as error:
             self._unsubscribe()
             self._statistics.set_problem("input", Level.ERROR, str(error))
-            self._node.get_logger().error(str(error), throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().error(str(error), **throttled())
             return
         if self._topic is None:
             waiting = self._search.waiting()
             self._statistics.set_problem("input", Level.WARN, waiting)
-            self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().info(waiting, **throttled())
 
     def _name_others(self) -> None:
         """Log the event topics besides the one in use, whenever they change."""
@@ -142,7 +142,7 @@ class EventSource:
             self._node.get_logger().warning(
                 f"listening to {self._topic.name}; event topics besides it: {', '.join(others)}; "
                 f"choose with --ros-args -r events:={others[0]}",
-                throttle_duration_sec=_THROTTLE_S,
+                **throttled(),
             )
         self._named = others
 
@@ -213,9 +213,7 @@ class EventSource:
             f"{topic.name}: no event arrives: a publisher offers {offered}, but {asked} is asked "
             f"for; change qos_overrides.{topic.name}.subscription.* or the publisher",
         )
-        self._node.get_logger().error(
-            self._statistics.problems["qos"][1], throttle_duration_sec=_THROTTLE_S
-        )
+        self._node.get_logger().error(self._statistics.problems["qos"][1], **throttled())
 
 
 def to_camera(info: CameraInfo) -> Camera:

@@ -25,11 +25,9 @@ from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import STARTING, Supervisor
 from emoflow_ros.node.tasks import Job, Task
+from emoflow_ros.node.throttled import REMINDER_S, throttled
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
-_THROTTLE_S = 5.0
-# A problem that lasts until somebody acts is logged again after this time.
-_REMINDER_S = 30.0
 # Without a twist for this long the diagnostics warn, unless windows are longer.
 _TWIST_S = 1.0
 _ENDED = (
@@ -159,9 +157,7 @@ class Pipeline:
             timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,
             statistics=self.statistics,
-            warn=lambda line: self._node.get_logger().warning(
-                line, throttle_duration_sec=_THROTTLE_S
-            ),
+            warn=lambda line: self._node.get_logger().warning(line, **throttled()),
             epoch=self._epoch,
         )
         self._input.camera = self._camera
@@ -190,7 +186,7 @@ class Pipeline:
             self._epoch = self._input.epoch
             self._forget_waiting()
             line = f"{self._input.jump}: the estimation starts anew"
-            self._node.get_logger().info(line, throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().info(line, **throttled())
         take = self._hand_on if self.imu is None else self.imu.push
         for tasks in groups:
             take(tasks)
@@ -207,7 +203,7 @@ class Pipeline:
         except InputError as error:
             line = f"camera_info: {error}"
             self._miss_camera(line)
-            self._node.get_logger().error(line, throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().error(line, **throttled())
             return
         self.statistics.clear_problem("camera")
         if camera != self._camera:
@@ -222,7 +218,7 @@ class Pipeline:
         self.take_outcomes()  # also those for which the supervisor could not wake this thread
         if self._supervisor.has_ended:
             self.statistics.set_problem("worker", Level.ERROR, _ENDED)
-            self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)
+            self._node.get_logger().error(_ENDED, **throttled(REMINDER_S))
         timeout_s = self._settings.node.output.timeout_s
         self.statistics.clear_problem("busy")
         if hangs := self.statistics.load.hangs(self._supervisor.busy_s, timeout_s):
@@ -266,9 +262,7 @@ class Pipeline:
         )
 
     def _wait(self, task: Task) -> None:
-        self._node.get_logger().warning(
-            f"windows wait: {self._missing}", throttle_duration_sec=_REMINDER_S
-        )
+        self._node.get_logger().warning(f"windows wait: {self._missing}", **throttled(REMINDER_S))
         if len(self._waiting) == self._settings.node.input.queue_windows:
             self._drop(self._waiting.popleft(), self._missing)
         self._waiting.append(task)
