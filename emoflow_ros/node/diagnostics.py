@@ -35,6 +35,7 @@ _ALSO_COUNTED = (
     *("messages", "events", "events_thinned", "events_dropped", "events_outside", "seq_gaps"),
     *("internal_errors", "windows", "windows_forgotten", "twists_now"),
     "pictures_left_out",
+    "wrong_stamps",
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.
