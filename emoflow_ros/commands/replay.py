@@ -252,7 +252,7 @@ def _parse() -> argparse.Namespace:
         metavar="S",
         help=f"wait up to S seconds (default: {_WAIT_S:g}) until somebody listens to the events",
     )
-    args = parser.parse_args(own_arguments())
+    args = parser.parse_args(own_arguments("replay"))
     if not 0.001 <= args.rate <= 1000:
         raise InputError("--rate", f"{args.rate:g}", "give a rate in [0.001, 1000]")
     if not 0 <= args.wait <= 3600:

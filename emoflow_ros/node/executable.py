@@ -65,7 +65,7 @@ def main(factory: str | None = None) -> int:
         from emoflow_ros.node.ros_arguments import own_arguments
         from emoflow_ros.node.supervisor import FACTORY
 
-        parser().parse_args(own_arguments())
+        parser().parse_args(own_arguments("estimator"))
         ending.imported()
         run_node(factory or FACTORY, ending.in_order)
 

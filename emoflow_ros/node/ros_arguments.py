@@ -16,6 +16,7 @@ from rclpy.utilities import remove_ros_args
 
 from emoflow_ros.core.options import unknown_option
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.parameter_files import FILE_FIX, require_parameters
 
 # What rcl says, besides where in its source it does: `Couldn't parse KIND: 'ARGUMENT'. Error: WHY`.
 _SOURCE_LINE = re.compile(r", at \S+:\d+")
@@ -24,7 +25,6 @@ _WRONG_QOS = re.compile(r"Unexpected QoS override for policy `(.+?)`: `(.*)`")
 _WRONG_TYPE = re.compile(r"parameter '(.+?)' to '(.*)' of type '\w+', expecting type '\W*(\w+)")
 
 _PARAMETER_FILE = "params file"
-_FILE_FIX = "give a YAML file of ROS parameters, as `ros2 param dump` writes it"
 # By what rcl calls the argument: what is wrong (rcl itself names its lexemes only), what to do.
 _RULES = {
     "parameter override rule": ("not of the form NAME:=VALUE", "write -p NAME:=VALUE"),
@@ -40,14 +40,22 @@ _ENVIRONMENT_FIX = (
 )
 
 
-def own_arguments() -> list[str]:
+def own_arguments(name: str) -> list[str]:
     """Return the arguments of the command line that are not for ROS.
+
+    A parameter file that holds nothing for the node is named on standard error.
+
+    Args:
+        name: of the node.
 
     Raises:
         InputError: those for ROS cannot be used.
     """
     with refused_in_one_line():
-        return list(remove_ros_args(sys.argv)[1:])
+        own = list(remove_ros_args(sys.argv)[1:])
+    if line := require_parameters(sys.argv, name):
+        print(f"warning: {line}", file=sys.stderr, flush=True)
+    return own
 
 
 @contextmanager
@@ -212,7 +220,7 @@ def _refusal(line: str) -> InputError:
     kind, argument, why = found["kind"], found["argument"], found["why"]
     if kind == _PARAMETER_FILE:
         return InputError(
-            argument, _unreadable(argument) or f"holds no parameters ({why})", _FILE_FIX
+            argument, _unreadable(argument) or f"holds no parameters ({why})", FILE_FIX
         )
     wrong, fix = _RULES.get(kind, (why, _FIX))
     return InputError(argument, wrong, fix)
