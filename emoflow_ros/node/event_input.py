@@ -111,7 +111,7 @@ class EventInput:
             data: the message.
             part: n takes the first n-th of its events; each stands for n.
         """
-        for believed in self._doubt.judge(data, part, self._stamp):
+        for believed in self._doubt.judge(data, part, self._stamp, self._is_readable):
             if believed.jump:
                 self._start_epoch(believed.jump)
             self._take(believed)
@@ -177,6 +177,12 @@ class EventInput:
         else:
             self._decoder.resync(left_out.count)
             self._reset_slicers()
+
+    def _is_readable(self, data: bytes) -> bool:
+        try:
+            return len(data) <= _MAX_BYTES and bool(deepcopy(self._decoder).decode(data, 1))
+        except DecodeError:
+            return False
 
     def _decode(self, data: bytes, part: int) -> EventMessage | None:
         try:

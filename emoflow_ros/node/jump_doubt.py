@@ -1,5 +1,6 @@
 """One wrong stamp is no jump in time: a message whose stamp jumps waits for the next one."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from emoflow_ros.node.backlog import is_jump, stamp_of
@@ -28,12 +29,15 @@ class JumpDoubt:
     def __init__(self) -> None:
         self._doubtful: tuple[int, bytes, int] | None = None  # stamp, message, part
 
-    def judge(self, data: bytes, part: int, last: int | None) -> list[Believed]:
+    def judge(
+        self, data: bytes, part: int, last: int | None, is_readable: Callable[[bytes], bool]
+    ) -> list[Believed]:
         """Take a message; return those to go on with, in order.
 
         Args:
             data, part: the message.
             last: the last stamp that was believed, ns; None before the first one.
+            is_readable: tells whether a message is one at all; else it is returned at once.
         """
         stamp = stamp_of(data)
         if stamp is None or last is None:
@@ -43,6 +47,8 @@ class JumpDoubt:
             return [*self._refuted(), Believed(data, part)]
         if doubtful is None or is_jump(stamp - doubtful[0]):
             refuted = self._refuted()
+            if not is_readable(data):
+                return [*refuted, Believed(data, part, is_stamp_right=False)]
             self._doubtful = stamp, data, part
             return refuted
         self._doubtful = None

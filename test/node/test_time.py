@@ -223,3 +223,11 @@ def test_message_that_waits_for_the_next_one_is_counted_when_both_are_left_out(
     assert stream.statistics.counts["messages_skipped"] == 1
     assert stamps_ms(stream.play(5 * S + 20, 5 * S + 45)) == [5025, 5035]
     assert stream.input.epoch == 1
+
+
+def test_malformed_message_with_a_stamp_by_chance_is_counted_at_once(stream: Stream) -> None:
+    stream.play(60 * S, 60 * S + 20)
+    stream.input.take(b"\x00\x01\x00\x00" + bytes(range(40)))
+    assert stream.statistics.counts["malformed_messages"] == 1
+    assert stamps_ms(stream.play(60 * S + 20, 60 * S + 45)) == [60_015, 60_025, 60_035]
+    assert stream.input.epoch == 0
