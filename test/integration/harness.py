@@ -249,8 +249,8 @@ class Processes:
     ) -> subprocess.Popen[bytes]:
         """Start the node as its console script does; `parameters` as in `name:=value`.
 
-        Windows wait unless the parameters say otherwise: tests publish faster than a camera.
-        In the same way `egomotion/twist` carries one twist per window.
+        Unless these say otherwise windows wait, since tests publish faster than a camera, and
+        `egomotion/twist` carries one twist per window.
         """
         code = (
             f"import sys; from emoflow_ros.node.executable import main; sys.exit(main('{factory}'))"
