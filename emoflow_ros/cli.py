@@ -12,7 +12,7 @@ from types import FrameType
 from typing import TextIO
 
 from emoflow_ros.compiled_code import choose_folder
-from emoflow_ros.errors import InputError, keep_traceback
+from emoflow_ros.errors import InputError
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -32,6 +32,7 @@ def run(command: Callable[[], int | None]) -> int:
         standard error), 130 for Ctrl-C, 141 where nobody reads the output any more, as after
         `| head`, 2 for want of memory, too. Anything else is a bug and keeps its traceback.
     """
+    no_memory = _want_of_memory()
     try:
         _take_ctrl_c_once()
         return _run_and_flush(command)
@@ -51,26 +52,22 @@ def run(command: Callable[[], int | None]) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return EXIT_NO_READER
     except (MemoryError, ImportError, OSError) as error:
-        if not (line := _want_of_memory(error)):
+        # Under a limit of the address space libraries cannot be loaded, and modules not imported.
+        if not (isinstance(error, MemoryError) or b"ulimit" in no_memory):
             raise
-        print(f"error: {line}{keep_traceback(error)}", file=sys.stderr)
+        os.write(2, no_memory)
         return EXIT_BAD_INPUT
 
 
-def _want_of_memory(error: Exception) -> str:
-    """Say that there is too little memory, if that is what an exception means; else nothing.
-
-    Under a limit of the address space libraries cannot be loaded, and modules not be imported.
-    """
+def _want_of_memory() -> bytes:
+    """Say that there is too little memory, and why; made before, for then there may be none."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    is_limited = limit != resource.RLIM_INFINITY and limit < _ENOUGH
-    kind = type(error).__name__
-    if is_limited:
-        return (
-            f"memory: {limit >> 20} MiB of address space (ulimit -v) are not enough ({kind}); "
-            f"remove the limit, or raise it to {_ENOUGH >> 20} MiB"
-        )
-    return "memory: there is not enough; free some" if isinstance(error, MemoryError) else ""
+    if limit == resource.RLIM_INFINITY or limit >= _ENOUGH:
+        return b"error: memory: there is not enough; free some\n"
+    return (
+        f"error: memory: {limit >> 20} MiB of address space (ulimit -v) are not enough; remove the "
+        f"limit, or raise it to {_ENOUGH >> 20} MiB\n"
+    ).encode()
 
 
 def _take_ctrl_c_once() -> None:

@@ -130,7 +130,7 @@ def test_windows_that_wait_are_forgotten_with_their_epoch(monkeypatch) -> None:
     bench = Bench(monkeypatch, use="auto")
     bench.imu(990, 1005)
     bench.events(1000, 1011)
-    bench.events(100, 101)
+    bench.events(100, 106)  # the second message confirms the jump
     bench.imu(1005, 1015)
     assert bench.supervisor.jobs() == []
     assert bench.pipeline.statistics.counts["windows_forgotten"] == 1
