@@ -57,6 +57,7 @@ class Statistics:
         counts: by name; all of them are there from the start.
         stream: what comes in and goes out; told by `listen` and `give` from outside.
         load: how much of the processor the worker gets.
+        event_delay_s: of event times on ROS time behind the messages' stamps; 0 on another clock.
         clock_drift_ppm: how much faster ROS time runs than the sensor's clock.
     """
 
@@ -64,7 +65,7 @@ class Statistics:
         self.counts: Counter[str] = Counter(
             dict.fromkeys((*_ALSO_COUNTED, *_STATUSES, *_WARNINGS), 0)
         )
-        self.clock_drift_ppm = 0.0
+        self.clock_drift_ppm = self.event_delay_s = 0.0
         self.problems: dict[str, tuple[Level, str]] = {}
         self._clock = clock
         self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)

@@ -148,6 +148,7 @@ class EventInput:
         if believed.is_stamp_right:
             self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
+        self._statistics.event_delay_s = self._clock.delay_ns / NS_PER_S
         self._frame_id = message.frame_id
         self._taken.append(events)
         end = self._slicer.next_end
