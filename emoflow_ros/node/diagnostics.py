@@ -169,7 +169,18 @@ class Statistics:
     def _verdict(self, recent: Counter[str], silence_s: float, twist_s: float) -> tuple[Level, str]:
         """Choose the first of the worst reasons."""
         reasons = self._reasons(recent, silence_s, twist_s)
-        return max(reasons, key=lambda reason: reason[0], default=(Level.OK, _running(recent)))
+        return max(reasons, key=lambda reason: reason[0], default=(Level.OK, self._running(recent)))
+
+    def _running(self, recent: Counter[str]) -> str:
+        """Say what became of most windows, where few have an estimate, or that events pause."""
+        if pause := self.stream.pause_s:
+            return f"running; no events for {pause:.1f} s"
+        done = sum(recent[name] for name in _STATUSES)
+        most = max(_STATUSES, key=lambda name: recent[name])
+        if most == f"windows_{Status.OK}" or 2 * recent[f"windows_{Status.OK}"] >= done:
+            return "running"
+        status = most.removeprefix("windows_").replace("_", " ")
+        return f"running; {recent[most]} of {done} windows: {status}"
 
     def _reasons(
         self, recent: Counter[str], silence_s: float, twist_s: float
@@ -214,13 +225,3 @@ def resident_mb(pid: int) -> float:
         return float(psutil.Process(pid).memory_info().rss / 2**20)
     except psutil.Error:
         return 0.0
-
-
-def _running(recent: Counter[str]) -> str:
-    """Say what became of most windows, where few have an estimate."""
-    done = sum(recent[name] for name in _STATUSES)
-    most = max(_STATUSES, key=lambda name: recent[name])
-    if most == f"windows_{Status.OK}" or 2 * recent[f"windows_{Status.OK}"] >= done:
-        return "running"
-    status = most.removeprefix("windows_").replace("_", " ")
-    return f"running; {recent[most]} of {done} windows {status}"

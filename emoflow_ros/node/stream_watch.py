@@ -96,6 +96,12 @@ class StreamWatch:
         else:
             yield Level.WARN, f"messages without events for {useless}: check the camera"
 
+    @property
+    def pause_s(self) -> float:
+        """How long events have paused, s; 0 while they flow, and before the first one."""
+        pause = self._clock() - self._last_event
+        return pause if _FLOWING_S < pause < math.inf else 0.0
+
     def missing_twists(self, twist_s: float) -> Iterator[tuple[Level, str]]:
         """Say why no twist was published for longer than this, s, while events came."""
         now = self._clock()
