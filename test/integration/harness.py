@@ -38,8 +38,7 @@ WAIT_S = 60.0  # far more than is needed: what fails on a slow machine is not th
 
 WAITING = "input.queue_windows:=8"
 OF_WINDOWS = "output.twist_rate:=0.0"
-_AGAIN_S = 10.0  # after which a request is sent again
-_CAMERA_INFO_S = 0.2
+_AGAIN_S, _CAMERA_INFO_S = 10.0, 0.2  # after which a request, or a calibration, is sent again
 _DRIVER_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -51,9 +50,9 @@ def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S)
 
 
 def contention() -> float:
-    """How many times longer than on an idle machine a computation takes now."""
-    wall, processor = time.monotonic(), time.process_time()
-    while time.process_time() - processor < 0.1:
+    """How many times longer than on an idle machine a computation takes now, at least 1."""
+    wall, end = time.monotonic(), time.process_time() + 0.1
+    while time.process_time() < end:
         pass
     return max(1.0, (time.monotonic() - wall) / 0.1)
 
@@ -109,8 +108,8 @@ class Peer:
     def subscribe_flow(self) -> None:
         self._subscribe(Image, "/flow/image", self.images)
 
-    def _subscribe(self, message_type: Any, topic: str, messages: list[Any]) -> None:
-        self.node.create_subscription(message_type, topic, messages.append, 100)
+    def _subscribe(self, kind: Any, topic: str, messages: list[Any]) -> None:
+        self.node.create_subscription(kind, topic, messages.append, 100)
 
     def _hear_diagnostics(self, messages: list[DiagnosticArray]) -> Subscription:
         """Hear of nodes that are configured: shared ones of other tests may be there, too."""
@@ -142,8 +141,8 @@ class Peer:
             self._executor.spin_once(timeout_sec=0.05)
 
     def spin_for(self, seconds: float) -> None:
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 
     def connect(self) -> None:
@@ -233,10 +232,9 @@ class Processes:
     def start(self, *command: str) -> subprocess.Popen[bytes]:
         """Start a command; its output goes to a file of its own (see `output`)."""
         log = self._log(len(self.started)).open("wb")
-        environment = dict(os.environ)
-        paths = [str(ROOT), str(ROOT / "test" / "node"), environment.get("PYTHONPATH", "")]
-        environment["PYTHONPATH"] = os.pathsep.join(p for p in paths if p)
-        environment["PYTHONUNBUFFERED"] = "1"
+        paths = [str(ROOT), str(ROOT / "test" / "node"), os.environ.get("PYTHONPATH", "")]
+        path = os.pathsep.join(p for p in paths if p)
+        environment = os.environ | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
         with log:
             process = subprocess.Popen(
                 command, stdout=log, stderr=log, env=environment, start_new_session=True
