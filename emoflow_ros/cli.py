@@ -1,6 +1,7 @@
 """The installed commands, and what all of them share: one line for bad input, exit codes."""
 
 import os
+import resource
 import select
 import signal
 import sys
@@ -10,11 +11,14 @@ from importlib import import_module
 from types import FrameType
 from typing import TextIO
 
+from emoflow_ros.compiled_code import choose_folder
 from emoflow_ros.errors import InputError
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141  # as a shell reports SIGPIPE
+
+_ENOUGH = 2 * 2**30  # bytes of address space
 
 # ros2 launch passes on a Ctrl-C that the terminal has sent to everybody already.
 _SAME_CTRL_C_S = 1.0
@@ -26,8 +30,9 @@ def run(command: Callable[[], int | None]) -> int:
     Returns:
         The command's own code (None counts as 0), 2 for an InputError (its line goes to
         standard error), 130 for Ctrl-C, 141 where nobody reads the output any more, as after
-        `| head`. Anything else is a bug and keeps its traceback.
+        `| head`, 2 for want of memory, too. Anything else is a bug and keeps its traceback.
     """
+    no_memory = _want_of_memory()
     try:
         _take_ctrl_c_once()
         return _run_and_flush(command)
@@ -46,6 +51,23 @@ def run(command: Callable[[], int | None]) -> int:
         for stream in unread:  # what is buffered would raise again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return EXIT_NO_READER
+    except (MemoryError, ImportError, OSError) as error:
+        # Under a limit of the address space libraries cannot be loaded, and modules not imported.
+        if not (isinstance(error, MemoryError) or b"ulimit" in no_memory):
+            raise
+        os.write(2, no_memory)
+        return EXIT_BAD_INPUT
+
+
+def _want_of_memory() -> bytes:
+    """Say that there is too little memory, and why; made before, for then there may be none."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY or limit >= _ENOUGH:
+        return b"error: memory: there is not enough; free some\n"
+    return (
+        f"error: memory: {limit >> 20} MiB of address space (ulimit -v) are not enough; remove the "
+        f"limit, or raise it to {_ENOUGH >> 20} MiB\n"
+    ).encode()
 
 
 def _take_ctrl_c_once() -> None:
@@ -90,8 +112,13 @@ def _has_lost_its_reader(stream: TextIO | None) -> bool:
 def _command(module: str) -> Callable[[], int]:
     """Make a command that imports its module late, so that Ctrl-C before is one line, too."""
 
+    def command() -> int:
+        choose_folder()
+        code: int = import_module(f"emoflow_ros.{module}").main()
+        return code
+
     def main() -> int:
-        return run(lambda: import_module(f"emoflow_ros.{module}").main())
+        return run(command)
 
     return main
 

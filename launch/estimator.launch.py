@@ -46,8 +46,9 @@ def _start(context: Any) -> list[Any]:
     from launch.substitutions import LaunchConfiguration
     from launch_ros.actions import Node
 
-    from emoflow_ros.node.ros_arguments import flag, require_package
+    from emoflow_ros.node.ros_arguments import flag, refuse_unknown, require_package
 
+    refuse_unknown(Path(__file__).name, ARGUMENTS)
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     parameters = _parameters(value)
     rviz = flag("rviz", value["rviz"])
@@ -65,6 +66,7 @@ def _start(context: Any) -> list[Any]:
                 if value[name] != ARGUMENTS[name][0]
             ],
             output="screen",
+            on_exit=_end_all_where_it_failed,
         )
     ]
     if rviz:
@@ -82,10 +84,24 @@ def _start(context: Any) -> list[Any]:
     return nodes
 
 
+def _end_all_where_it_failed(event: Any, context: Any) -> None:
+    """Leave no RViz and no replay alone, unless somebody else's launch file includes this one."""
+    from emoflow_ros.node.ros_arguments import is_launched, require_success
+
+    if is_launched(Path(__file__).name, "replay.launch.py"):
+        require_success("estimator", event.returncode)
+
+
 def _parameters(value: dict[str, str]) -> list[Any]:
     """List the sources of parameters: later ones count before earlier ones."""
+    from emoflow_ros.core.calibration import load_calibration
+    from emoflow_ros.core.config import load_config
+    from emoflow_ros.node.calibration_url import calibration_path
     from emoflow_ros.node.ros_arguments import flag, number, parameter_file
 
+    load_config(value["profile"])
+    if value["calibration_file"]:
+        load_calibration(calibration_path(value["calibration_file"]))
     arguments: dict[str, Any] = {
         "use_sim_time": flag("use_sim_time", value["use_sim_time"]),
         "profile": value["profile"],

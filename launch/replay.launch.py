@@ -4,6 +4,7 @@ Takes the arguments of estimator.launch.py, too; with `use_sim_time:=true` the b
 """
 
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 ARGUMENTS = {
@@ -19,6 +20,8 @@ RECORDED = (
     "egomotion/status",
 )
 
+_ESTIMATOR = Path(__file__).with_name("estimator.launch.py")
+
 
 def generate_launch_description() -> Any:
     """Describe a replay, an estimator and a recorder of its answers."""
@@ -31,18 +34,19 @@ def generate_launch_description() -> Any:
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in ARGUMENTS.items()
     ]
-    estimator = Path(__file__).with_name("estimator.launch.py")
-    include = IncludeLaunchDescription(PythonLaunchDescriptionSource(str(estimator)))
+    include = IncludeLaunchDescription(PythonLaunchDescriptionSource(str(_ESTIMATOR)))
     check, start = OpaqueFunction(function=_check), OpaqueFunction(function=_start)
     return LaunchDescription([*declared, check, include, start])
 
 
 def _check(context: Any) -> None:
-    """Refuse a bag that is not there before the estimator is started."""
+    """Refuse a bag that is not there, or an unknown argument, before the estimator is started."""
     from launch.substitutions import LaunchConfiguration
 
-    from emoflow_ros.node.ros_arguments import require_path
+    from emoflow_ros.node.ros_arguments import refuse_unknown, require_path
 
+    known = [*ARGUMENTS, *run_path(str(_ESTIMATOR))["ARGUMENTS"]]
+    refuse_unknown(Path(__file__).name, known)
     require_path("bag", LaunchConfiguration("bag").perform(context))
 
 
@@ -73,8 +77,8 @@ def _start(context: Any) -> list[Any]:
     return actions
 
 
-def _end_all_where_it_failed(event: Any, context: Any) -> list[Any]:
+def _end_all_where_it_failed(event: Any, context: Any) -> None:
     """Leave no estimator that waits for a bag which cannot be replayed."""
-    from launch.actions import Shutdown
+    from emoflow_ros.node.ros_arguments import require_success
 
-    return [Shutdown(reason=f"replay ended with {event.returncode}")] if event.returncode else []
+    require_success("replay", event.returncode)

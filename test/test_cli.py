@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emoflow_ros.cli import EXIT_NO_READER
+from emoflow_ros.cli import EXIT_NO_READER, run
 from emoflow_ros.errors import InputError
 
 RUN = "import argparse, os, sys; from emoflow_ros.cli import run; sys.exit(run(lambda: {}))"
@@ -18,7 +18,7 @@ RUN = "import argparse, os, sys; from emoflow_ros.cli import run; sys.exit(run(l
 def start(*arguments, **options):
     """Start Python with its usual buffers, whatever the tests run with."""
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
-    environment = {**os.environ, "PYTHONUNBUFFERED": ""}
+    environment = {**options.pop("env", os.environ), "PYTHONUNBUFFERED": ""}
     return subprocess.Popen([sys.executable, *map(str, arguments)], env=environment, **options)
 
 
@@ -48,6 +48,34 @@ def test_output_that_nobody_reads_ends_a_command_without_a_word(command):
 def test_progress_that_nobody_reads_ends_a_command_too():
     command = RUN.format("[print('before'), print('x', file=sys.stderr), print('after')]")
     assert unread("-c", command, stream="stderr") == (EXIT_NO_READER, b"before\n")
+
+
+@pytest.mark.parametrize("limit_mib", [250, 400])
+def test_limit_of_memory_that_is_too_low_is_one_line(limit_mib, tmp_path):
+    """Libraries cannot be loaded, or modules not be imported."""
+    code = (
+        "import resource, sys; from emoflow_ros.cli import evaluate; "
+        f"resource.setrlimit(resource.RLIMIT_AS, ({limit_mib << 20},) * 2); sys.exit(evaluate())"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    with start("-c", code, "--help", env=environment) as process:
+        output, error = process.communicate(timeout=100)
+    assert (process.returncode, output) == (2, b"")
+    assert error.decode().splitlines()[0] == (
+        f"error: memory: {limit_mib} MiB of address space (ulimit -v) are not enough; "
+        "remove the limit, or raise it to 2048 MiB"
+    )
+    assert b"Traceback" not in error
+
+
+def test_want_of_memory_is_one_line_and_any_other_error_keeps_its_traceback(capfd):
+    def fail(error):
+        raise error
+
+    assert run(lambda: fail(MemoryError())) == 2
+    assert capfd.readouterr().err == "error: memory: there is not enough; free some\n"
+    with pytest.raises(OSError, match="no such device"):
+        run(lambda: fail(OSError("no such device")))
 
 
 def test_a_broken_pipe_of_the_commands_own_keeps_its_traceback():

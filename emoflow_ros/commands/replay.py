@@ -37,7 +37,8 @@ examples:
 _DEPTH = 1000
 _WAIT_S = 10.0
 _SETTLE_S = 0.3
-_FLUSH_S = 2
+# Fast DDS asks a reliable subscriber for its acknowledgment every 3 s, unless messages are large.
+_FLUSH_S = 4
 _LATE_S = 0.05
 _STOPPED_S = 0.5  # no single message takes that long
 _CLOCK_PERIOD = 10 * NS_PER_MS
@@ -152,8 +153,14 @@ class Player:
                 self.published += 1
                 bar.update((t - begin) / NS_PER_S - bar.n)
         self.lag_s = max(self.lag_s, pace.lag_s)
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=_FLUSH_S))
+
+    def finish(self) -> bool:
+        """Wait until the subscribers have what was published; return whether they have."""
+        deadline = time.monotonic() + _FLUSH_S
+        return all(
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - time.monotonic())))
+            for publisher in self._publishers.values()
+        )
 
     def _to_cdr(self, connection: Connection, data: bytes) -> bytes:
         if self._converter is None:
@@ -213,6 +220,8 @@ def _main() -> None:
             player.play(args.rate)
             while args.loop:
                 player.play(args.rate)
+            if not player.finish():
+                print("a subscriber has not acknowledged the last messages", file=sys.stderr)
         finally:
             try_shutdown()
     late = f", up to {player.lag_s * 1e3:.0f} ms late" if player.lag_s > _LATE_S else ""
@@ -243,7 +252,7 @@ def _parse() -> argparse.Namespace:
         metavar="S",
         help=f"wait up to S seconds (default: {_WAIT_S:g}) until somebody listens to the events",
     )
-    args = parser.parse_args(own_arguments())
+    args = parser.parse_args(own_arguments("replay"))
     if not 0.001 <= args.rate <= 1000:
         raise InputError("--rate", f"{args.rate:g}", "give a rate in [0.001, 1000]")
     if not 0 <= args.wait <= 3600:

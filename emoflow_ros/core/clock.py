@@ -98,6 +98,15 @@ class ClockMap:
         """Map a sensor time to ROS time, in ns; before the first observation it is unchanged."""
         return t + self.offset(t)
 
+    @property
+    def delay_ns(self) -> int:
+        """Smallest difference between stamps and event times that are taken for ROS time, ns.
+
+        It may be a delay, or the offset of a clock that is not quite on ROS time. 0 where event
+        times are not taken for ROS time.
+        """
+        return self._delay if self._on_ros_time else 0
+
     def _line(self, t: int) -> int:
         return self._target + round(self.drift_ppm * 1e-6 * (t - self._reference))
 

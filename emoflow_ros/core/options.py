@@ -6,12 +6,15 @@ documentation.
 
 import dataclasses
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
 from emoflow_ros.errors import InputError
+
+_EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?e[-+]?\d+", re.IGNORECASE)
 
 
 def option(
@@ -82,6 +85,25 @@ def replace_options[T](tree: T, values: Mapping[str, Any], prefix: str = "") -> 
     return dataclasses.replace(tree, **changes)  # type: ignore[type-var]
 
 
+def coerced(value: Any, default: Any, choices: tuple[str, ...]) -> Any:
+    """Return a value in the type of the option's default, if only YAML made it another one.
+
+    YAML reads `1` as an integer, `off` as false, `1e-5` as a text, and a name of digits as a
+    number. A value that is of another type all the same is returned as it is.
+    """
+    match default, value:
+        case str(), bool():
+            word = "on" if value else "off"
+            return word if word in choices else value
+        case str(), int() | float() if not choices:
+            return str(value)
+        case float(), int() if not isinstance(value, bool):
+            return float(value)
+        case float(), str() if _EXPONENT.fullmatch(value):
+            return float(value)
+    return value
+
+
 def unknown_option(name: str, known: Iterable[str]) -> InputError:
     """Refuse a name: with the nearest of the known ones, and those of its group or all."""
     names = list(known)
@@ -94,10 +116,7 @@ def unknown_option(name: str, known: Iterable[str]) -> InputError:
 
 def _checked(name: str, value: Any, default: Any, meta: Mapping[str, Any]) -> Any:
     kind = type(default)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if value is False and "off" in meta["choices"]:
-        value = "off"  # which YAML reads as false
+    value = coerced(value, default, meta["choices"])
     if type(value) is not kind:
         raise InputError(name, f"{value!r} is not of type {kind.__name__}", "correct the value")
     if meta["choices"] and value not in meta["choices"]:

@@ -7,7 +7,7 @@ queue in front of the supervisor and the channel to the worker.
     event_source  finds the topic by topic_search, subscribes            twist_output
     event_feed    lets messages wait in a backlog, not for long
     event_input   decodes messages, cuts windows                         outputs
-    pipeline      adds camera and settings; imu_source adds the gyro     pipeline
+    pipeline      adds camera and settings; imu_source adds the gyro     answers
     supervisor    feeds the worker process, replaces it when it fails    supervisor
     worker        -------------- estimates in its own process ---------> worker
 

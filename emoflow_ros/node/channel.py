@@ -170,7 +170,14 @@ def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
         angular=arrays.pop("angular"),
         covariance=arrays.pop("covariance"),
     )
-    return Result(task, estimate, has_flow=header["has_flow"], pictures=arrays)
+    return Result(
+        task,
+        estimate,
+        pictures=arrays,
+        has_flow=header["has_flow"],
+        wall_s=header.get("wall_s", 0.0),
+        processor_s=header.get("processor_s", 0.0),
+    )
 
 
 def pack_present(found: PresentTwist | None) -> tuple[dict[str, Any], Arrays]:

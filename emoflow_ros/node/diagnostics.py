@@ -4,24 +4,18 @@ import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import psutil
 
 from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.node.reports import Level, Report
+from emoflow_ros.node.stream_watch import DROPPED, FAILED, REFUSALS, StreamWatch
 from emoflow_ros.node.tasks import Loss, Result, Task
+from emoflow_ros.node.worker_load import WorkerLoad
 
 _LATENCIES_KEPT = 200
-# Why messages may hold no event that can be used.
-_REFUSALS = {
-    "malformed_messages": "malformed messages: check the driver's message version",
-    "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
-    "unordered_messages": "messages with event times out of order: check the driver",
-    "events_outside": "events outside the calibration's image: give this sensor's calibration",
-}
 _TOO_FAST = (
     "events come faster than the node decodes them; lower their rate, or give the node more of the "
     "processor"
@@ -34,36 +28,21 @@ _WARNINGS = {
     "messages_skipped": f"messages left out: {_TOO_FAST}",
     "messages_in_part": f"messages decoded in part: {_TOO_FAST}",
     "windows_dropped": "windows dropped: {drop}",
-    **{name: line for name, line in _REFUSALS.items() if name != "events_outside"},
+    **{name: line for name, line in REFUSALS.items() if name != "events_outside"},
     "time_jumps": "jumps in event time: the estimation starts anew",
 }
 _ALSO_COUNTED = (
     *("messages", "events", "events_thinned", "events_dropped", "events_outside", "seq_gaps"),
     *("internal_errors", "windows", "windows_forgotten", "twists_now"),
+    "pictures_left_out",
+    "wrong_stamps",
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there
 # are still estimates, so all other reasons of the same level come before it.
-_PARTS = ("worker", "input", "qos", "camera", "frame")
+_PARTS = ("worker", "busy", "input", "qos", "camera", "frame", "topic")
 _MILD = ("gyro", "scale", "device")
 
 _STATUSES = tuple(f"windows_{status}" for status in Status)
-
-
-class Level(IntEnum):
-    """Levels of diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-
-
-@dataclass(frozen=True)
-class Report:
-    """One diagnosis: how bad, why and what to do, and the numbers behind it."""
-
-    level: Level
-    message: str
-    values: dict[str, str]
 
 
 class Statistics:
@@ -76,6 +55,9 @@ class Statistics:
 
     Attributes:
         counts: by name; all of them are there from the start.
+        stream: what comes in and goes out; told by `listen` and `give` from outside.
+        load: how much of the processor the worker gets.
+        event_delay_s: of event times on ROS time behind the messages' stamps; 0 on another clock.
         clock_drift_ppm: how much faster ROS time runs than the sensor's clock.
     """
 
@@ -83,7 +65,7 @@ class Statistics:
         self.counts: Counter[str] = Counter(
             dict.fromkeys((*_ALSO_COUNTED, *_STATUSES, *_WARNINGS), 0)
         )
-        self.clock_drift_ppm = 0.0
+        self.clock_drift_ppm = self.event_delay_s = 0.0
         self.problems: dict[str, tuple[Level, str]] = {}
         self._clock = clock
         self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)
@@ -92,27 +74,30 @@ class Statistics:
         self._last_drop = ""
         self._dropped = DistinctEvents()
         self._dropped_epoch: int | None = None
-        self._last_message = self._last_event = clock()
+        self.stream = StreamWatch(self.counts, clock)
+        self.load = WorkerLoad()
         self._reported = (clock(), Counter[str]())
 
     def add_events(self, count: int) -> None:
         """Count the events of one message that can be used."""
         self.counts["messages"] += 1
         self.counts["events"] += count
-        self._last_message = self._clock()
-        if count:
-            self._last_event = self._last_message
+        self.stream.take(count)
 
     def add_malformed(self) -> None:
         """Count a message that cannot be read."""
         self.counts["malformed_messages"] += 1
-        self._last_message = self._clock()
+        self.stream.take(0)
 
     def add_result(self, result: Result) -> None:
         """Count a window by what its events gave, and the latency since it was complete."""
         self.counts[f"windows_{result.estimate.by_events}"] += 1
         self._latencies.append(self._clock() - result.task.received)
         self._last_result = result
+        self.load.add(result)
+        self.counts["pictures_left_out"] += result.left_out
+        if result.estimate.status is not Status.OK:
+            self.stream.miss(result.estimate.status)
 
     def add_dropped(self, task: Task, reason: str) -> None:
         """Count a window that was dropped for this reason, and its events.
@@ -126,6 +111,7 @@ class Statistics:
         self.counts["windows_dropped"] += 1
         self.counts["events_dropped"] = self._dropped.count
         self._last_drop = reason
+        self.stream.miss(DROPPED, reason)
 
     def add_loss(self, loss: Loss) -> None:
         """Count a window or a worker that was lost, or both."""
@@ -134,6 +120,8 @@ class Statistics:
         self.counts["internal_errors"] += bool(loss.trace)
         self.counts["slices_failed"] += not (loss.worker or loss.task or loss.trace)
         self._last_loss = loss.reason
+        if loss.task is not None:
+            self.stream.miss(FAILED, loss.reason)
 
     def set_problem(self, part: str, level: Level, message: str) -> None:
         """State what is wrong with a part of the node, until it is cleared.
@@ -149,11 +137,14 @@ class Statistics:
         """State that a part of the node works."""
         self.problems.pop(part, None)
 
-    def report(self, silence_s: float, worker: int | None = None) -> Report:
+    def report(
+        self, silence_s: float, worker: int | None = None, *, twist_s: float = 1.0
+    ) -> Report:
         """Judge the time since the last report.
 
         Args:
             silence_s: without events for this long the report warns.
+            twist_s: without a twist for this long, although events come, it warns, too.
             worker: the worker's process id, if there is one.
         """
         now = self._clock()
@@ -161,7 +152,7 @@ class Statistics:
         elapsed = max(now - before, 1e-9)
         current = self.counts.copy()
         self._reported = (now, current)
-        level, message = self._verdict(now, current - counts, silence_s)
+        level, message = self._verdict(current - counts, silence_s, twist_s)
         done = sum(current[name] - counts[name] for name in _STATUSES)
         values = {
             "events_per_s": f"{(current['events'] - counts['events']) / elapsed:.0f}",
@@ -175,13 +166,24 @@ class Statistics:
         }
         return Report(level, message, values)
 
-    def _verdict(self, now: float, recent: Counter[str], silence_s: float) -> tuple[Level, str]:
+    def _verdict(self, recent: Counter[str], silence_s: float, twist_s: float) -> tuple[Level, str]:
         """Choose the first of the worst reasons."""
-        reasons = self._reasons(now, recent, silence_s)
-        return max(reasons, key=lambda reason: reason[0], default=(Level.OK, "running"))
+        reasons = self._reasons(recent, silence_s, twist_s)
+        return max(reasons, key=lambda reason: reason[0], default=(Level.OK, self._running(recent)))
+
+    def _running(self, recent: Counter[str]) -> str:
+        """Say what became of most windows, where few have an estimate, or that events pause."""
+        if pause := self.stream.pause_s:
+            return f"running; no events for {pause:.1f} s"
+        done = sum(recent[name] for name in _STATUSES)
+        most = max(_STATUSES, key=lambda name: recent[name])
+        if most == f"windows_{Status.OK}" or 2 * recent[f"windows_{Status.OK}"] >= done:
+            return "running"
+        status = most.removeprefix("windows_").replace("_", " ")
+        return f"running; {recent[most]} of {done} windows: {status}"
 
     def _reasons(
-        self, now: float, recent: Counter[str], silence_s: float
+        self, recent: Counter[str], silence_s: float, twist_s: float
     ) -> Iterator[tuple[Level, str]]:
         """Yield the reasons that hold, the costliest first."""
         yield from (self.problems[part] for part in _PARTS if part in self.problems)
@@ -192,27 +194,13 @@ class Statistics:
                 f"{self._last_loss}",
             )
         if "input" not in self.problems:
-            yield from self._silence(now, recent, silence_s)
+            yield from self.stream.silence(silence_s)
+            yield from self.stream.missing_twists(twist_s)
         for name, reason in _WARNINGS.items():
             if recent[name]:
                 text = reason.format(loss=self._last_loss, drop=self._last_drop)
                 yield Level.WARN, f"{recent[name]} {text}"
-        yield from _without_estimates(recent)
         yield from (self.problems[part] for part in _MILD if part in self.problems)
-
-    def _silence(
-        self, now: float, recent: Counter[str], silence_s: float
-    ) -> Iterator[tuple[Level, str]]:
-        silent = now - self._last_event
-        if silent <= silence_s:
-            return
-        if now - self._last_message > silence_s:
-            yield Level.WARN, f"no events for {silent:.1f} s: check the driver or the bag"
-            return
-        for name, reason in _REFUSALS.items():
-            if recent[name]:
-                yield Level.ERROR, f"nothing to use for {silent:.1f} s: {recent[name]} {reason}"
-        yield Level.WARN, f"messages without events for {silent:.1f} s: check the camera"
 
     def _quality(self) -> dict[str, str]:
         values = {}
@@ -220,6 +208,7 @@ class Statistics:
             p50, p95 = np.percentile(self._latencies, [50, 95]) * 1e3
             values["latency_p50_ms"] = f"{p50:.1f}"
             values["latency_p95_ms"] = f"{p95:.1f}"
+            values["processor_share"] = f"{self.load.share:.2f}"
         if self._last_result is not None:
             estimate = self._last_result.estimate
             values["status"] = str(estimate.status)
@@ -236,18 +225,3 @@ def resident_mb(pid: int) -> float:
         return float(psutil.Process(pid).memory_info().rss / 2**20)
     except psutil.Error:
         return 0.0
-
-
-def _without_estimates(recent: Counter[str]) -> Iterator[tuple[Level, str]]:
-    """Say why no window gave an estimate."""
-    few, still = (recent[f"windows_{s}"] for s in (Status.TOO_FEW_EVENTS, Status.NO_MOTION))
-    if recent[f"windows_{Status.OK}"]:
-        return
-    if few:
-        yield (
-            Level.WARN,
-            f"{few} windows with too few events, and none with enough: the camera is at rest, or "
-            "estimator.min_events is too high for its windows",
-        )
-    elif still:
-        yield Level.OK, f"running, no motion in {still} windows"

@@ -6,10 +6,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -18,17 +15,17 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+from emoflow_ros.node.diagnostics_topic import DiagnosticsTopic, idle_report
 from emoflow_ros.node.event_source import Callbacks, EventSource
-from emoflow_ros.node.outputs import to_diagnostics
+from emoflow_ros.node.neighbours import Neighbours
 from emoflow_ros.node.parameters import NodeParameters
 from emoflow_ros.node.pipeline import Pipeline
+from emoflow_ros.node.reports import Report
 from emoflow_ros.node.ros_arguments import refused_in_one_line
 from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.node.topic_search import TopicSearch
 from emoflow_ros.node.transitions import log_error, refuse_impossible_transitions, transition
-
-_DIAGNOSTICS_DEPTH = 10
 
 
 def run_node(factory: str, give_end: Callable[[Callable[[], None]], None]) -> None:
@@ -70,11 +67,12 @@ def spin_until_asked(node: Node, give_end: Callable[[Callable[[], None]], None])
         with contextlib.suppress(InvalidHandle):  # the node is gone already
             wish.trigger()
 
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    give_end(ask)
-    while not is_asked:
-        executor.spin_once()
+    # Not left to the garbage collector: if that destroys its parts first, a traceback is printed.
+    with SingleThreadedExecutor(context=node.context) as executor:
+        executor.add_node(node)
+        give_end(ask)
+        while not is_asked:
+            executor.spin_once()
 
 
 class EstimatorNode(LifecycleNode):
@@ -114,6 +112,10 @@ class EstimatorNode(LifecycleNode):
             on_change=self._apply_settings,
         )
         refuse_impossible_transitions(self)
+        self._neighbours = Neighbours(self)
+        self._diagnostics = DiagnosticsTopic(
+            self, self._report, self._settings.node.output.diagnostics_s
+        )
         if self._settings.node.autostart:
             self._start()
 
@@ -145,16 +147,7 @@ class EstimatorNode(LifecycleNode):
                 wake=self._outcome_waits.trigger,
                 made=made,
             )
-            self._diagnostics = self.create_publisher(
-                DiagnosticArray, "/diagnostics", _DIAGNOSTICS_DEPTH
-            )
-            made.callback(self.destroy_publisher, self._diagnostics)
-            timer = self.create_timer(
-                self._settings.node.output.diagnostics_s,
-                self._publish_diagnostics,
-                clock=Clock(clock_type=ClockType.STEADY_TIME),  # also while simulated time stands
-            )
-            made.callback(self.destroy_timer, timer)
+            self._diagnostics.set_period(self._settings.node.output.diagnostics_s)
             pipeline.start()
             self._configured = made.pop_all()
         self._pipeline = pipeline
@@ -231,8 +224,8 @@ class EstimatorNode(LifecycleNode):
         if self._pipeline is not None:
             self._pipeline.take_outcomes()
 
-    def _publish_diagnostics(self) -> None:
-        if self._pipeline is not None:
-            report = self._pipeline.report()
-            name, stamp = self.get_fully_qualified_name(), self.get_clock().now().to_msg()
-            self._diagnostics.publish(to_diagnostics(name, report, stamp))
+    def _report(self) -> Report:
+        if self._pipeline is None:
+            return idle_report(self._state_machine.current_state[1], self.failure)
+        self._neighbours.look(self._pipeline.statistics)
+        return self._pipeline.report()

@@ -8,6 +8,7 @@ from rclpy.subscription import Subscription
 
 from emoflow_ros.node.backlog import Backlog, LeftOut
 from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.throttled import throttled
 
 _TURN_S = 0.005  # decoding at a stretch
 # The first n-th of each message is decoded: n doubles where more of what may wait does than these
@@ -15,7 +16,6 @@ _TURN_S = 0.005  # decoding at a stretch
 _FAR, _NEAR = 1 / 2, 1 / 8
 _SETTLE_S, _EASE_S = 0.05, 3.0
 _SMALLEST_PART = 16
-_THROTTLE_S = 5.0
 
 
 class Pressure:
@@ -161,7 +161,7 @@ class EventFeed:
             f"{self._topic}: {left_out.count} messages are left out, because events come faster "
             "than the node decodes them; lower the event rate of the camera or the rate of the "
             "replay, or give the node more of the processor",
-            throttle_duration_sec=_THROTTLE_S,
+            **throttled(),
         )
 
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.backlog import LeftOut, is_jump
 from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.jump_doubt import Believed, JumpDoubt
 from emoflow_ros.node.tasks import Task
 from msg_adapters import DecodeError, EventMessage, make_decoder
 
@@ -21,6 +23,7 @@ _MAX_BYTES = 16 * 2**20
 # Messages between two ends of windows are cut together, up to so many events: each cut takes as
 # long as decoding some messages.
 _MOST_TAKEN = 50_000
+_NEAR_NS = NS_PER_S  # events behind a wrong stamp that are further on are of another time, too
 
 
 class EventInput:
@@ -71,6 +74,7 @@ class EventInput:
         self._statistics = statistics
         self._warn = warn
         self._clock = ClockMap(timestamps)
+        self._doubt = JumpDoubt()
         self._taken: list[Events] = []  # not cut yet
         self._tasks: list[list[Task]] = []  # since the last call of `cut`
 
@@ -107,13 +111,31 @@ class EventInput:
             data: the message.
             part: n takes the first n-th of its events; each stands for n.
         """
+        for believed in self._doubt.judge(data, part, self._stamp, self._is_readable):
+            if believed.jump:
+                self._start_epoch(believed.jump)
+            self._take(believed)
+
+    def _take(self, believed: Believed) -> None:
+        data, part = believed.data, believed.part
+        before = None if believed.is_stamp_right else deepcopy(self._decoder)
         message = self._decode(data, part)
-        if message is not None and self._has_jumped(message):
-            self._size = None  # another recording may be that of another sensor
+        step = 0 if message is None else self._step(message)
+        if before is not None and not 0 <= step < _NEAR_NS:
+            self._decoder = before  # its time is counted on from messages before it
+            self._leave_out("it is of another time than those around it")
+            return
+        # A step back that the stamps do not show is a wrap of the sensor's time.
+        if step > 0 and is_jump(step):
+            self._start_epoch(step)
             message = self._decode(data, part)  # again: it was counted on from before the jump
         if message is None:
             return
-        self._stamp = message.stamp
+        if believed.is_stamp_right:
+            self._stamp = message.stamp
+        else:
+            self._statistics.counts["wrong_stamps"] += 1
+            self._warn("the stamp of a message is not used: it is far from those around it")
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
         events = self._inside(message)
         if part > 1:
@@ -123,8 +145,10 @@ class EventInput:
             return
         self._statistics.add_events(len(events))
         self._last = int(events.t[-1])
-        self._clock.observe(int(events.t[0]), message.stamp)
+        if believed.is_stamp_right:
+            self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
+        self._statistics.event_delay_s = self._clock.delay_ns / NS_PER_S
         self._frame_id = message.frame_id
         self._taken.append(events)
         end = self._slicer.next_end
@@ -146,12 +170,20 @@ class EventInput:
 
         The epoch and the clock map stay unless time jumped meanwhile.
         """
+        if self._doubt.forget():
+            left_out = replace(left_out, count=left_out.count + 1)
+            self._statistics.counts["messages_skipped"] += 1
         if left_out.jump:
             self._start_epoch(left_out.jump)
-            self._size = None
         else:
             self._decoder.resync(left_out.count)
             self._reset_slicers()
+
+    def _is_readable(self, data: bytes) -> bool:
+        try:
+            return len(data) <= _MAX_BYTES and bool(deepcopy(self._decoder).decode(data, 1))
+        except DecodeError:
+            return False
 
     def _decode(self, data: bytes, part: int) -> EventMessage | None:
         try:
@@ -163,20 +195,11 @@ class EventInput:
             self._warn(f"a malformed message is left out: {error}")
             return None
 
-    def _has_jumped(self, message: EventMessage) -> bool:
-        """Look for a jump in time, and start the next epoch at one.
-
-        If the sensor's time wraps, a jump back shows in the stamps only.
-        """
-        if self._stamp is None:
-            return False
-        step = message.stamp - self._stamp
-        if not is_jump(step) and self._last is not None and len(message.events):
-            step = max(step, int(message.events.t[0]) - self._last)
-        if not is_jump(step):
-            return False
-        self._start_epoch(step)
-        return True
+    def _step(self, message: EventMessage) -> int:
+        """Event time from the last event to the first one of a message, ns; 0 if there is none."""
+        if self._stamp is None or self._last is None or not len(message.events):
+            return 0
+        return int(message.events.t[0]) - self._last
 
     def _start_epoch(self, step: int) -> None:
         """Start the next epoch after a step of time (ns): forget what was before it."""
@@ -189,6 +212,7 @@ class EventInput:
         self.jump = f"event time went {way} by {abs(step) / NS_PER_S:.3f} s"
         self._statistics.counts["time_jumps"] += 1
         self._stamp = self._last = None
+        self._size = None  # another recording may be that of another sensor
         self._clock.reset()
         self._decoder.reset()
         self._reset_slicers()

@@ -8,17 +8,20 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.backlog import LeftOut
-from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import EventFeed, fetch_waiting
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.ros_arguments import refused_values
+from emoflow_ros.node.throttled import throttled
 from emoflow_ros.node.topic_search import (
     EventTopic,
     TopicSearch,
@@ -32,7 +35,6 @@ _EVENT_DEPTH = 250
 _CAMERA_INFO_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _POLICIES = QoSOverridingOptions.with_default_policies().policy_kinds
 _LOOK_S = 0.1
-_THROTTLE_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class EventSource:
         self._subscriptions: list[Subscription] = []
         self._feed: EventFeed | None = None
         self._topic: EventTopic | None = None
+        self._again: Timer | None = None  # until it is subscribed anew
         self._hears_events = False
         self._named: list[str] = []
         # Looking must go on while a simulated clock stands still, for example before a replay.
@@ -126,12 +129,12 @@ class EventSource:
         except InputError as error:
             self._unsubscribe()
             self._statistics.set_problem("input", Level.ERROR, str(error))
-            self._node.get_logger().error(str(error), throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().error(str(error), **throttled())
             return
         if self._topic is None:
             waiting = self._search.waiting()
             self._statistics.set_problem("input", Level.WARN, waiting)
-            self._node.get_logger().info(waiting, throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().info(waiting, **throttled())
 
     def _name_others(self) -> None:
         """Log the event topics besides the one in use, whenever they change."""
@@ -141,7 +144,7 @@ class EventSource:
             self._node.get_logger().warning(
                 f"listening to {self._topic.name}; event topics besides it: {', '.join(others)}; "
                 f"choose with --ros-args -r events:={others[0]}",
-                throttle_duration_sec=_THROTTLE_S,
+                **throttled(),
             )
         self._named = others
 
@@ -154,6 +157,7 @@ class EventSource:
         if self._feed is not None:
             self._feed.close()
             self._feed = None
+        self._end_timer()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -163,7 +167,7 @@ class EventSource:
             self._statistics.clear_problem(part)
 
     def _subscribe(self, topic: EventTopic) -> None:
-        message_type = import_message_type(topic.type)
+        import_message_type(topic.type)  # before anything is made
         self._topic = topic
         if topic.name == self._search.name:  # the user named it: nothing is left to decide
             self._node.destroy_timer(self._timer)
@@ -182,25 +186,59 @@ class EventSource:
         self._feed = EventFeed(
             self._node,
             topic.name,
-            fetch=lambda: fetch_waiting(subscription, _EVENT_DEPTH),
+            fetch=lambda: fetch_waiting(self._subscriptions[-1], _EVENT_DEPTH),
             length_ns=self._length_ns,
             take=self._take_events,
             end_turn=self._callbacks.end_turn,
             skip=self._callbacks.skip,
             statistics=self._statistics,
         )
-        subscription = self._node.create_subscription(
-            message_type,
+        self._hear(topic, _best_reliability(self._node, topic))
+
+    def _hear(self, topic: EventTopic, reliability: ReliabilityPolicy) -> None:
+        """Make the subscription to events; it is the last one."""
+        assert self._feed is not None
+        events = self._node.create_subscription(
+            import_message_type(topic.type),
             topic.name,
             self._feed.receive,
-            _event_qos(self._node, topic),
+            QoSProfile(
+                history=HistoryPolicy.KEEP_LAST, depth=_EVENT_DEPTH, reliability=reliability
+            ),
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda _: self._report_incompatible_qos(topic)
+                incompatible_qos=lambda _: self._take_incompatible_qos(topic)
             ),
             qos_overriding_options=_given_overrides(self._node, topic.name),
             raw=True,
         )
-        self._subscriptions.append(subscription)
+        self._subscriptions.append(events)
+
+    def _take_incompatible_qos(self, topic: EventTopic) -> None:
+        """Ask for less where that was our own choice, or say that a publisher is not heard."""
+        reliable = self._subscriptions[-1].qos_profile.reliability is ReliabilityPolicy.RELIABLE
+        if reliable and QoSPolicyKind.RELIABILITY not in _given_kinds(self._node, topic.name):
+            if self._again is None:  # not here: rclpy still uses the subscription
+                self._again = self._node.create_timer(
+                    0.0, self._hear_best_effort, clock=Clock(clock_type=ClockType.STEADY_TIME)
+                )
+            return
+        self._report_incompatible_qos(topic)
+
+    def _hear_best_effort(self) -> None:
+        self._end_timer()
+        assert self._topic is not None
+        self._node.destroy_subscription(self._subscriptions.pop())
+        self._hear(self._topic, ReliabilityPolicy.BEST_EFFORT)
+        self._node.get_logger().warning(
+            f"{self._topic.name}: a publisher offers best effort, so the events of all are "
+            "subscribed to best effort from now on",
+            **throttled(),
+        )
+
+    def _end_timer(self) -> None:
+        if self._again is not None:
+            self._node.destroy_timer(self._again)
+            self._again = None
 
     def _report_incompatible_qos(self, topic: EventTopic) -> None:
         asked = _kind(self._subscriptions[-1].qos_profile)
@@ -212,9 +250,7 @@ class EventSource:
             f"{topic.name}: no event arrives: a publisher offers {offered}, but {asked} is asked "
             f"for; change qos_overrides.{topic.name}.subscription.* or the publisher",
         )
-        self._node.get_logger().error(
-            self._statistics.problems["qos"][1], throttle_duration_sec=_THROTTLE_S
-        )
+        self._node.get_logger().error(self._statistics.problems["qos"][1], **throttled())
 
 
 def to_camera(info: CameraInfo) -> Camera:
@@ -233,15 +269,12 @@ def _kind(profile: QoSProfile) -> str:
     return f"{profile.reliability.name.lower()} {profile.durability.name.lower()}"
 
 
-def _event_qos(node: Node, topic: EventTopic) -> QoSProfile:
-    """Ask for best effort, as drivers offer it, or for reliable if all publishers are reliable."""
+def _best_reliability(node: Node, topic: EventTopic) -> ReliabilityPolicy:
+    """Choose best effort, as drivers offer it, or reliable if all publishers are reliable."""
     offered = {p.qos_profile.reliability for p in node.get_publishers_info_by_topic(topic.name)}
-    reliable = offered == {ReliabilityPolicy.RELIABLE}
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=_EVENT_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-    )
+    if offered == {ReliabilityPolicy.RELIABLE}:
+        return ReliabilityPolicy.RELIABLE
+    return ReliabilityPolicy.BEST_EFFORT
 
 
 def _given_overrides(node: Node, topic: str) -> QoSOverridingOptions:
@@ -250,8 +283,12 @@ def _given_overrides(node: Node, topic: str) -> QoSOverridingOptions:
     For every policy that may be overridden, rclpy declares a read-only parameter with the value of
     the first subscription. All later subscriptions to that topic would take over that value.
     """
+    return QoSOverridingOptions(_given_kinds(node, topic))
+
+
+def _given_kinds(node: Node, topic: str) -> list[QoSPolicyKind]:
     names = {p: f"qos_overrides.{topic}.subscription.{p.name.lower()}" for p in _POLICIES}
-    return QoSOverridingOptions([p for p, name in names.items() if _is_given(node, name)])
+    return [p for p, name in names.items() if _is_given(node, name)]
 
 
 def _is_given(node: Node, name: str) -> bool:

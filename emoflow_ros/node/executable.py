@@ -32,6 +32,7 @@ topics out:
   egomotion/twist_with_covariance                    that in the middle of each window
   egomotion/status                                   the verdict on every window
   flow/image, flow/color, flow/iwe, flow/tracks      only while somebody subscribes
+  flow/camera_info                                   the calibration beside the images
   /diagnostics                                       what is wrong, rates, latency, losses
 
 Nothing is estimated without a calibration: where nobody publishes camera_info, give a
@@ -55,12 +56,16 @@ def main(factory: str | None = None) -> int:
     """
     ending = Ending()
     from emoflow_ros.cli import run
-    from emoflow_ros.node.estimator_node import run_node
-    from emoflow_ros.node.ros_arguments import own_arguments
-    from emoflow_ros.node.supervisor import FACTORY
 
     def command() -> None:
-        parser().parse_args(own_arguments())
+        from emoflow_ros.compiled_code import choose_folder
+
+        choose_folder()
+        from emoflow_ros.node.estimator_node import run_node
+        from emoflow_ros.node.ros_arguments import own_arguments
+        from emoflow_ros.node.supervisor import FACTORY
+
+        parser().parse_args(own_arguments("estimator"))
         ending.imported()
         run_node(factory or FACTORY, ending.in_order)
 

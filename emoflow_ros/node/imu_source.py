@@ -18,9 +18,10 @@ from sensor_msgs.msg import Imu
 from emoflow_ros.core.config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_checks import GyroState
-from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import fetch_waiting
 from emoflow_ros.node.imu_input import ImuInput, MountingError
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.target_frame import LATEST, NoTransformError, TfFrame
 from emoflow_ros.node.tasks import Task
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
@@ -31,6 +32,7 @@ _QOS = QoSProfile(
 _MOST = 2000  # messages in one fetch
 _FETCH_S = 0.05  # between events, so that the middleware's history does not overflow
 _LOOK_S = 0.004  # while a window waits
+_DOUBTFUL_S = 0.1  # more than drivers take for a message
 
 
 class ImuSource:
@@ -112,8 +114,23 @@ class ImuSource:
 
     def report(self) -> None:
         """Note what is wrong with the messages."""
-        if self._topic and (problem := self._input.problem(self._topic)):
+        if not self._topic:
+            return
+        if problem := self._input.problem(self._topic):
             self._statistics.set_problem("gyro", self._level, f"gyro: {problem}")
+        elif doubt := self._doubtful_clock():
+            self._statistics.set_problem("gyro", Level.WARN, f"gyro: {doubt}")
+
+    def _doubtful_clock(self) -> str:
+        """Say that the events' clock may not be the gyro's; empty if it is, or if that is known."""
+        delay_s = self._statistics.event_delay_s
+        if abs(delay_s) < _DOUBTFUL_S or self._config.time_offset_ms:
+            return ""
+        return (
+            f"the events are {delay_s:.2f} s behind the stamps of their messages: if that is their "
+            "clock and no delay, the gyro is off by as much; evaluate --check-imu finds out, "
+            "imu.time_offset_ms corrects it"
+        )
 
     def _look(self) -> None:
         self._release()

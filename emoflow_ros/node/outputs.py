@@ -1,33 +1,24 @@
-"""What is published of a window: its status and pictures, and its twists by `twist_output`."""
+"""What is published of a window: its status, its pictures and its twists."""
 
-import array
 import contextlib
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any
 
-import numpy as np
-from builtin_interfaces.msg import Duration, Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point
-from numpy.typing import NDArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode
-from sensor_msgs.msg import Image
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.diagnostics_topic import to_status
+from emoflow_ros.node.picture_output import PictureOutput
+from emoflow_ros.node.reports import Level, Report
+from emoflow_ros.node.scale import Scale
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
 from emoflow_ros.node.target_frame import NoTransformError
-from emoflow_ros.node.tasks import Picture, Present, Result, Task, Wishes
-from emoflow_ros.node.twist_output import Scale, TwistOutput, make_publisher, to_header
+from emoflow_ros.node.tasks import Present, Result, Task, Wishes
+from emoflow_ros.node.twist_output import TwistOutput, make_publisher
 
-_ENCODINGS = {Picture.FLOW: "32FC2", Picture.COLOR: "rgb8", Picture.EVENTS: "mono8"}
-_TRACK_WIDTH = 0.004  # m, at a distance of 1 m: about a pixel
-_TRACK_COLOR = (1.0, 0.75, 0.1)
-_TRACK_LIFETIME = Duration(sec=2)
 _LEVELS = {
     Status.OK: Level.OK,
     Status.TOO_FEW_EVENTS: Level.WARN,
@@ -61,18 +52,12 @@ class Outputs:
         present: bool = False,
     ) -> None:
         self._node = node
-        self._options = options.output
         self._statistics = statistics
         self._twists = TwistOutput(node, options.output, made, present=present)
         self._scale = Scale(node, options.scale)
         made.callback(self._scale.close)
         self._status = make_publisher(node, DiagnosticStatus, "egomotion/status", made)
-        self._pictures = {
-            picture: make_publisher(
-                node, Marker if picture is Picture.TRACKS else Image, picture, made
-            )
-            for picture in Picture
-        }
+        self._pictures = PictureOutput(node, options.output, made)
 
     def set_scale(self, options: ScaleOptions) -> None:
         """Take the scale from where these options say from now on."""
@@ -81,13 +66,7 @@ class Outputs:
     @property
     def wishes(self) -> Wishes:
         """What results are to hold: only those pictures that somebody subscribes to now."""
-        subscribed = (p for p in Picture if self._pictures[p].get_subscription_count() > 0)
-        return Wishes(
-            tuple(subscribed),
-            flow_color_max=self._options.flow_color_max,
-            flow_stride=self._options.flow_stride,
-            tracks=self._options.tracks,
-        )
+        return self._pictures.wishes
 
     def publish(self, result: Result) -> None:
         """Publish a window's status, and its estimate if there is one."""
@@ -96,8 +75,8 @@ class Outputs:
         if result.estimate.status is Status.OK:
             # Pictures first: under load twists sent before a flow image, which is larger than Fast
             # DDS's shared memory (512 KiB), came seconds late or never.
-            self._publish_pictures(result)
-            problems["frame"] = self._publish_twists(result, scaling.factor)
+            self._pictures.publish(result)
+            problems["frame"] = self._publish_twists(result, scaling.speed)
         for part, problem in problems.items():
             self._statistics.clear_problem(part)
             if problem:
@@ -108,9 +87,10 @@ class Outputs:
     def publish_present(self, present: Present) -> None:
         """Publish the motion of now."""
         stamp = present.task.to_ros(present.found.twist.t)
-        factor = self._scale.at(stamp).factor
+        speed = self._scale.at(stamp).speed
         with contextlib.suppress(NoTransformError):  # the next window's status will say so
-            self._twists.publish_present(present, factor)
+            if self._twists.publish_present(present, speed):
+                self._statistics.stream.give()
 
     def publish_dropped(self, task: Task, reason: str) -> None:
         """Publish the status of a window that was dropped for this reason."""
@@ -120,23 +100,14 @@ class Outputs:
         """Publish the status of a window that the worker failed at for this reason."""
         self._publish_status(judge_failed(task, reason, self._now()))
 
-    def _publish_twists(self, result: Result, factor: float) -> str:
+    def _publish_twists(self, result: Result, speed: float | None) -> str:
         """Publish the twists, or say why not."""
         try:
-            self._twists.publish(result, factor)
+            self._twists.publish(result, speed)
         except NoTransformError as error:
             return f"{error}; no twist is published"
+        self._statistics.stream.give()
         return ""
-
-    def _publish_pictures(self, result: Result) -> None:
-        header = to_header(result.stamp, result.task.frame_id)
-        for name, drawn in result.pictures.items():
-            picture = Picture(name)
-            if picture is Picture.TRACKS:
-                message = to_tracks(drawn, header)
-            else:
-                message = to_image(drawn, _ENCODINGS[picture], header)
-            self._pictures[picture].publish(message)
 
     def _publish_status(self, report: Report) -> None:
         name = self._node.get_fully_qualified_name()
@@ -186,51 +157,6 @@ def judge_dropped(task: Task, reason: str, now: int) -> Report:
 def judge_failed(task: Task, reason: str, now: int) -> Report:
     """Judge a window that the worker failed at for this reason; `now` is ROS time, ns."""
     return Report(Level.ERROR, reason, _lost_values(task, now, "failed"))
-
-
-def to_image(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
-    """Build an image from pixels (height, width, ...) that are laid out as the encoding says."""
-    height, width = pixels.shape[:2]
-    return Image(
-        header=header,
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=0,
-        step=pixels.nbytes // height,
-        data=array.array("B", pixels.tobytes()),
-    )
-
-
-def to_tracks(lines: NDArray[np.float32], header: Header) -> Marker:
-    """Build a marker of line segments (S, 2, 4): x, y, z in m and opacity; it replaces the last."""
-    marker = Marker(header=header, ns="tracks", type=Marker.LINE_LIST, action=Marker.ADD)
-    marker.pose.orientation.w = 1.0
-    marker.scale.x = _TRACK_WIDTH
-    marker.lifetime = _TRACK_LIFETIME
-    marker.frame_locked = True
-    ends = lines.reshape(-1, 4).tolist()
-    red, green, blue = _TRACK_COLOR
-    marker.points = [Point(x=x, y=y, z=z) for x, y, z, _ in ends]
-    marker.colors = [ColorRGBA(r=red, g=green, b=blue, a=opacity) for *_, opacity in ends]
-    return marker
-
-
-def to_diagnostics(name: str, report: Report, stamp: Time) -> DiagnosticArray:
-    """Build the diagnostics of one node."""
-    status = to_status(f"{name}: estimator", name, report)
-    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
-
-
-def to_status(name: str, hardware_id: str, report: Report) -> DiagnosticStatus:
-    """Build one status: level, message and numbers of a report."""
-    return DiagnosticStatus(
-        level=bytes([report.level]),
-        name=name,
-        message=report.message,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
-    )
 
 
 def _estimate_message(result: Result) -> str:

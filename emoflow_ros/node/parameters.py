@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 
 from emoflow_ros.cli import run
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.options import OptionInfo, unknown_option
+from emoflow_ros.core.options import OptionInfo, coerced, unknown_option
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import NodeOptions, Settings, table
 
@@ -34,6 +34,7 @@ _CONNECTIONS = (
     "imu.",
     "estimator.device",
     "on_missing_device",
+    "worker_nice",
 )
 # Declared by rclpy itself.
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -105,7 +106,7 @@ class NodeParameters:
         self.settings = Settings(NodeOptions(), config).changed(given)
         for info in table(self.settings):
             node.declare_parameter(info.name, info.value, _descriptor(info), ignore_override=True)
-        self._names = {info.name for info in table(self.settings)}
+        self._infos = {info.name: info for info in table(self.settings)}
         self._node = node
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._take)
@@ -120,18 +121,27 @@ class NodeParameters:
         Args:
             parameters: to set, all or none.
             set_all: what rclpy does. It would refuse a read-only parameter that has its value
-                already, and raise on an unknown name.
+                already, and one of another type than declared, and raise on an unknown name.
         """
+        parameters = [self._coerced(p) for p in parameters]
         unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
         if unknown:
-            refusal = unknown_option(unknown[0], sorted(self._names))
+            refusal = unknown_option(unknown[0], sorted(self._infos))
             return SetParametersResult(successful=False, reason=str(refusal))
         wanted = [p for p in parameters if not (self._is_fixed(p.name) and self._has(p))]
         return set_all(wanted) if wanted else SetParametersResult(successful=True)
 
+    def _coerced(self, parameter: Parameter) -> Parameter:
+        """Undo what `ros2 param` makes of a value, which it reads as YAML."""
+        info = self._infos.get(parameter.name)
+        if info is None or parameter.value is None:
+            return parameter
+        value = coerced(parameter.value, info.value, info.choices)
+        return Parameter(parameter.name, value=value)
+
     def _is_fixed(self, name: str) -> bool:
         """Whether a parameter cannot change now."""
-        if name not in self._names:
+        if name not in self._infos:
             return bool(self._node.describe_parameter(name).read_only)
         unconfigured = Change.UNCONFIGURED if not self._is_configured() else None
         return changes(name) not in (Change.ANY_TIME, unconfigured)
@@ -141,7 +151,7 @@ class NodeParameters:
         return (now.type_, now.value) == (parameter.type_, parameter.value)
 
     def _own(self, parameters: list[Parameter]) -> dict[str, Any]:
-        return {p.name: p.value for p in parameters if p.name in self._names}
+        return {p.name: p.value for p in parameters if p.name in self._infos}
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         values = self._own(parameters)

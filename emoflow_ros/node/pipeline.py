@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
@@ -12,24 +11,25 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.answers import Answers
 from emoflow_ros.node.backlog import LeftOut
-from emoflow_ros.node.diagnostics import Level, Report, Statistics
+from emoflow_ros.node.calibration_url import calibration_path
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
-from emoflow_ros.node.settings import Settings, calibration_path
+from emoflow_ros.node.reports import Level, Report
+from emoflow_ros.node.settings import Settings
 from emoflow_ros.node.supervisor import STARTING, Supervisor
-from emoflow_ros.node.tasks import Job, Loss, Notice, Present, Result, Task
+from emoflow_ros.node.tasks import Job, Task
+from emoflow_ros.node.throttled import REMINDER_S, throttled
 from emoflow_ros.node.topic_search import EventTopic, topic_beside
 
-_THROTTLE_S = 5.0
-# A problem that lasts until somebody acts is logged again after this time.
-_REMINDER_S = 30.0
-_SLOW = (
-    "the estimation is slower than the events; give longer windows, or fewer estimator.max_events"
-)
+# Without a twist for this long the diagnostics warn, unless windows are longer.
+_TWIST_S = 1.0
 _ENDED = (
     "the thread that feeds the worker has ended, its traceback is in the log; "
     "clean up and configure the node, or start it anew"
@@ -91,6 +91,7 @@ class Pipeline:
             may_use_cpu=options.on_missing_device == "cpu",
             wake=wake,
             factory=factory,
+            nice=options.worker_nice,
         )
         made.callback(self._supervisor.stop)
         if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
@@ -100,11 +101,15 @@ class Pipeline:
         self.imu: ImuSource | None = None
         if imu.use != "off":
             self.imu = ImuSource(node, imu, self._hand_on, self.statistics, made)
+        self._answers = Answers(
+            node, self._supervisor.outcomes, self.statistics, self._outputs, self.imu
+        )
         self.statistics.set_problem("input", Level.OK, _INACTIVE)
 
     def start(self) -> None:
         """Start the worker."""
         self._supervisor.start()
+        self._node.get_logger().info(STARTING)
 
     @property
     def obstacle(self) -> str:
@@ -144,6 +149,7 @@ class Pipeline:
             self.imu.listen(topic)
         self._epoch += 1
         self._encoding = ""
+        self.statistics.stream.listen()
         self._input = EventInput(
             topic.type,
             settings.budget,
@@ -151,9 +157,7 @@ class Pipeline:
             timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,
             statistics=self.statistics,
-            warn=lambda line: self._node.get_logger().warning(
-                line, throttle_duration_sec=_THROTTLE_S
-            ),
+            warn=lambda line: self._node.get_logger().warning(line, **throttled()),
             epoch=self._epoch,
         )
         self._input.camera = self._camera
@@ -182,7 +186,7 @@ class Pipeline:
             self._epoch = self._input.epoch
             self._forget_waiting()
             line = f"{self._input.jump}: the estimation starts anew"
-            self._node.get_logger().info(line, throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().info(line, **throttled())
         take = self._hand_on if self.imu is None else self.imu.push
         for tasks in groups:
             take(tasks)
@@ -199,7 +203,7 @@ class Pipeline:
         except InputError as error:
             line = f"camera_info: {error}"
             self._miss_camera(line)
-            self._node.get_logger().error(line, throttle_duration_sec=_THROTTLE_S)
+            self._node.get_logger().error(line, **throttled())
             return
         self.statistics.clear_problem("camera")
         if camera != self._camera:
@@ -207,34 +211,27 @@ class Pipeline:
 
     def take_outcomes(self) -> None:
         """Publish what the worker has done."""
-        outcomes = self._supervisor.outcomes
-        while not outcomes.empty():
-            match outcomes.get():
-                case Result() as result:
-                    if self._is_recent(result.task):
-                        self.statistics.add_result(result)
-                        if self.imu is not None:
-                            self.imu.judge(result.estimate)
-                        self._outputs.publish(result)
-                case Present() as present:
-                    if present.task.epoch == self._epoch:
-                        self.statistics.counts["twists_now"] += 1
-                        self._outputs.publish_present(present)
-                case Loss() as loss:
-                    self._report(loss)
-                case Notice(reason):
-                    self._node.get_logger().warning(reason)
-                    self.statistics.set_problem("device", Level.WARN, reason)
+        self._answers.take(self._epoch)
 
     def report(self) -> Report:
         """Judge the time since the last report."""
         self.take_outcomes()  # also those for which the supervisor could not wake this thread
         if self._supervisor.has_ended:
             self.statistics.set_problem("worker", Level.ERROR, _ENDED)
-            self._node.get_logger().error(_ENDED, throttle_duration_sec=_REMINDER_S)
+            self._node.get_logger().error(_ENDED, **throttled(REMINDER_S))
+        timeout_s = self._settings.node.output.timeout_s
+        self.statistics.clear_problem("busy")
+        if hangs := self.statistics.load.hangs(self._supervisor.busy_s, timeout_s):
+            self.statistics.set_problem("busy", Level.WARN, hangs)
         if self.imu is not None and self._input is not None:
             self.imu.report()
-        return self.statistics.report(self._settings.node.input.silence_s, self._supervisor.pid)
+        window = self._settings.config.window
+        between_s = (window.duration_ns + window.stride_ns) / NS_PER_S
+        return self.statistics.report(
+            self._settings.node.input.silence_s,
+            self._supervisor.pid,
+            twist_s=max(_TWIST_S, between_s),
+        )
 
     def _hand_on(self, tasks: list[Task]) -> None:
         """Put tasks into the worker's queues, or let windows wait for a calibration."""
@@ -254,12 +251,18 @@ class Pipeline:
         if not len(queue):  # else they are dropped perhaps: thinning takes longer than decoding
             jobs = [job.thinned() for job in jobs]
         for left_out in queue.put(jobs):
-            self._drop(left_out.task, self._supervisor.obstacle or _SLOW)
+            self._drop(left_out.task, self._why_slow())
+
+    def _why_slow(self) -> str:
+        settings, supervisor = self._settings, self._supervisor
+        return supervisor.obstacle or self.statistics.load.reason(
+            supervisor.busy_s,
+            settings.node.output.timeout_s,
+            on_cpu=settings.config.estimator.device == "cpu",
+        )
 
     def _wait(self, task: Task) -> None:
-        self._node.get_logger().warning(
-            f"windows wait: {self._missing}", throttle_duration_sec=_REMINDER_S
-        )
+        self._node.get_logger().warning(f"windows wait: {self._missing}", **throttled(REMINDER_S))
         if len(self._waiting) == self._settings.node.input.queue_windows:
             self._drop(self._waiting.popleft(), self._missing)
         self._waiting.append(task)
@@ -275,12 +278,6 @@ class Pipeline:
         self._waiting.clear()
         self.statistics.counts["windows_forgotten"] += forgotten
 
-    def _is_recent(self, task: Task) -> bool:
-        """Tell whether a window is of the present epoch; another one is forgotten."""
-        recent = task.epoch == self._epoch
-        self.statistics.counts["windows_forgotten"] += not recent
-        return recent
-
     def _miss_camera(self, reason: str) -> None:
         self._missing = reason
         self.statistics.set_problem("camera", Level.ERROR, reason)
@@ -294,15 +291,3 @@ class Pipeline:
         self._node.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
         waiting, self._waiting = list(self._waiting), deque()
         self._hand_on(waiting)
-
-    def _report(self, loss: Loss) -> None:
-        if loss.task is not None and not self._is_recent(loss.task):
-            loss = replace(loss, task=None)
-        self.statistics.add_loss(loss)
-        logger = self._node.get_logger()
-        if loss.trace:
-            logger.error(f"{loss.reason}\n{loss.trace}", throttle_duration_sec=_THROTTLE_S)
-        else:
-            logger.error(loss.reason, throttle_duration_sec=_THROTTLE_S)
-        if loss.task is not None:
-            self._outputs.publish_failed(loss.task, loss.reason)

@@ -6,7 +6,7 @@ What is wrong with one becomes an InputError of one line, before anything is sta
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +14,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.utilities import remove_ros_args
 
+from emoflow_ros.core.options import unknown_option
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.parameter_files import FILE_FIX, require_parameters
 
 # What rcl says, besides where in its source it does: `Couldn't parse KIND: 'ARGUMENT'. Error: WHY`.
 _SOURCE_LINE = re.compile(r", at \S+:\d+")
@@ -23,7 +25,6 @@ _WRONG_QOS = re.compile(r"Unexpected QoS override for policy `(.+?)`: `(.*)`")
 _WRONG_TYPE = re.compile(r"parameter '(.+?)' to '(.*)' of type '\w+', expecting type '\W*(\w+)")
 
 _PARAMETER_FILE = "params file"
-_FILE_FIX = "give a YAML file of ROS parameters, as `ros2 param dump` writes it"
 # By what rcl calls the argument: what is wrong (rcl itself names its lexemes only), what to do.
 _RULES = {
     "parameter override rule": ("not of the form NAME:=VALUE", "write -p NAME:=VALUE"),
@@ -39,14 +40,22 @@ _ENVIRONMENT_FIX = (
 )
 
 
-def own_arguments() -> list[str]:
+def own_arguments(name: str) -> list[str]:
     """Return the arguments of the command line that are not for ROS.
+
+    A parameter file that holds nothing for the node is named on standard error.
+
+    Args:
+        name: of the node.
 
     Raises:
         InputError: those for ROS cannot be used.
     """
     with refused_in_one_line():
-        return list(remove_ros_args(sys.argv)[1:])
+        own = list(remove_ros_args(sys.argv)[1:])
+    if line := require_parameters(sys.argv, name):
+        print(f"warning: {line}", file=sys.stderr, flush=True)
+    return own
 
 
 @contextmanager
@@ -134,6 +143,37 @@ def parameter_file(text: str, sensors: Path) -> str:
     raise InputError("params_file", f"no file '{text}'", f"give a path or one of {known}")
 
 
+def is_launched(*files: str) -> bool:
+    """Whether `ros2 launch` was given one of these launch files, and no other that includes it."""
+    return any(Path(argument).name in files for argument in sys.argv[1:])
+
+
+def refuse_unknown(file: str, known: Iterable[str]) -> None:
+    """Refuse arguments of `ros2 launch` that a launch file does not have.
+
+    Where another file includes it, the arguments are those of that one, and not looked at.
+
+    Raises:
+        InputError: there is one, with the nearest name.
+    """
+    if not is_launched(file):
+        return
+    given = [name for name, is_argument, _ in (a.partition(":=") for a in sys.argv) if is_argument]
+    names = list(known)
+    if unknown := [name for name in given if name not in names]:
+        raise unknown_option(unknown[0], names)
+
+
+def require_success(name: str, code: int) -> None:
+    """Refuse the exit code of a process that was launched.
+
+    Raises:
+        InputError: it is not 0. In a launch file that ends all, with an exit code.
+    """
+    if code:
+        raise InputError(name, f"ended with exit code {code}", "what it said last tells why")
+
+
 def require_path(name: str, text: str) -> None:
     """Refuse a launch argument that is the path of no file or folder.
 
@@ -180,7 +220,7 @@ def _refusal(line: str) -> InputError:
     kind, argument, why = found["kind"], found["argument"], found["why"]
     if kind == _PARAMETER_FILE:
         return InputError(
-            argument, _unreadable(argument) or f"holds no parameters ({why})", _FILE_FIX
+            argument, _unreadable(argument) or f"holds no parameters ({why})", FILE_FIX
         )
     wrong, fix = _RULES.get(kind, (why, _FIX))
     return InputError(argument, wrong, fix)

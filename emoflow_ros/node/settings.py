@@ -6,10 +6,8 @@ The node's own options are here, those of the estimation in `core.config`; `Sett
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
@@ -32,10 +30,8 @@ from emoflow_ros.core.options import (
 )
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
+from emoflow_ros.node.linear_covariance import REP_145, WIDE
 from msg_adapters import supported_types
-
-_PACKAGE = "package://"
-_FILE = "file://"
 
 
 @dataclass(frozen=True)
@@ -130,6 +126,13 @@ class OutputOptions:
     tracks: int = option(
         150, "points that `flow/tracks` follows, spread over the image", minimum=1, maximum=2000
     )
+    linear_covariance: str = option(
+        WIDE,
+        "covariance of linear where nothing is known of it: a variance of 1e6 (m/s)^2, also along "
+        "a direction without a scale, whose length is no speed (wide), or covariance[0] -1 and 0 "
+        "elsewhere (rep145)",
+        choices=(WIDE, REP_145),
+    )
     target_frame: str = option(
         "", "frame that twists are expressed in; empty is the camera's optical frame"
     )
@@ -205,6 +208,13 @@ class NodeOptions:
         "refuse to configure and, when lost, try again",
         choices=("cpu", "refuse"),
     )
+    worker_nice: int = option(
+        0,
+        "how much lower the worker's priority is than the node's (nice): above 0 the node keeps "
+        "reading the newest events on a busy machine, and fewer windows are estimated",
+        minimum=0,
+        maximum=19,
+    )
     input: InputOptions = field(default_factory=InputOptions)
     camera: CameraOptions = field(default_factory=CameraOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
@@ -266,25 +276,3 @@ def table(settings: Settings) -> Iterable[OptionInfo]:
     """List all parameters."""
     yield from options_of(settings.node)
     yield from options_of(settings.config)
-
-
-def calibration_path(url: str) -> Path:
-    """Find the file of `package://PACKAGE/PATH`, `file://PATH` or a plain path.
-
-    The forms are those of camera_info_manager.
-
-    Raises:
-        InputError: the package is not installed, or the URL leaves its folder.
-    """
-    if not url.startswith(_PACKAGE):
-        return Path(url.removeprefix(_FILE))
-    package, _, path = url.removeprefix(_PACKAGE).partition("/")
-    try:
-        share = Path(get_package_share_directory(package))
-    except (PackageNotFoundError, ValueError):
-        raise InputError(
-            url, f"the package {package} is not installed", "install it, or give a path"
-        ) from None
-    if ".." in Path(path).parts:
-        raise InputError(url, "leaves the package's folder", "give a path without '..'")
-    return share / path

@@ -4,9 +4,8 @@ import contextlib
 import multiprocessing
 import signal
 import threading
-import traceback
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from queue import SimpleQueue
 from typing import Any
 
@@ -15,9 +14,19 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack_window, unpack
-from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Job, Loss, Notice, Outcome, Task
+from emoflow_ros.node.picture_budget import PictureBudget
+from emoflow_ros.node.tasks import (
+    Arrays,
+    DropOldestQueue,
+    Job,
+    Loss,
+    Notice,
+    Outcome,
+    Progress,
+    Task,
+)
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
-from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess
+from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess, why_lost
 
 FACTORY = "emoflow_ros.core.factory:make_estimator"
 STARTING = "the worker is starting"
@@ -43,6 +52,7 @@ class Supervisor:
         may_use_cpu: whether to go on without the device that is asked for.
         wake: called in the supervisor's thread when there is an outcome.
         factory: `module:function` that makes the estimator in the worker.
+        nice: how much lower the worker's priority is than the node's.
 
     Attributes:
         queue: where jobs are put.
@@ -59,6 +69,7 @@ class Supervisor:
         may_use_cpu: bool,
         wake: Callable[[], None],
         factory: str = FACTORY,
+        nice: int = 0,
     ) -> None:
         self.queue: DropOldestQueue[Job] = DropOldestQueue(capacity)
         self.outcomes: SimpleQueue[Outcome] = SimpleQueue()
@@ -69,6 +80,7 @@ class Supervisor:
         self._on_cpu = False  # because the device failed
         self._wake = wake
         self._factory = factory
+        self._nice = nice
         self._context = multiprocessing.get_context("forkserver")
         # The factory imports its estimators late. That of the default profile is loaded beforehand.
         self._context.set_forkserver_preload(
@@ -81,6 +93,7 @@ class Supervisor:
         )
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
+        self._pictures = PictureBudget()
         self._task: Task | None = None
         self._feed = SliceFeed(self._ready_worker, timeout_s, self._tell)
         self._worker: WorkerProcess | None = None
@@ -117,6 +130,12 @@ class Supervisor:
         return None if worker is None else worker.pid
 
     @property
+    def busy_s(self) -> float:
+        """How long the worker has been busy with what it does now, s; 0 if it waits."""
+        worker = self._worker
+        return 0.0 if worker is None else worker.busy_s
+
+    @property
     def has_ended(self) -> bool:
         """Whether the thread has ended although nobody stopped it."""
         started = self._thread.ident is not None
@@ -125,7 +144,8 @@ class Supervisor:
     def stop(self) -> None:
         """End the worker at once, also in the middle of a window."""
         self._stopping.set()
-        self._kill()
+        if (worker := self._worker) is not None:
+            worker.kill()
         if self._thread.is_alive():
             self._thread.join(timeout=0.5)
         self._feed.stop()
@@ -173,9 +193,12 @@ class Supervisor:
         task = job.task
         cold = task.epoch != self._epoch
         self._epoch = task.epoch
+        wished = job.wishes.pictures
+        drawn = self._pictures.choose(wished, task.received, job.interval_s)
+        wishes = asdict(replace(job.wishes, pictures=drawn))
         interval, columns = pack_window(job.thinned().task.window)
         header, arrays = self._request(
-            {"kind": "window", **interval, "cold": cold, "wishes": asdict(job.wishes)}, columns
+            {"kind": "window", **interval, "cold": cold, "wishes": wishes}, columns
         )
         if header.get("fatal"):
             self._fail_over(header)
@@ -184,7 +207,10 @@ class Supervisor:
         if "error" in header:
             outcome = Loss(f"a window failed: {header['error']}", worker=False, task=task)
         else:
-            outcome = unpack(task, header, arrays)
+            result = unpack(task, header, arrays)
+            self._pictures.note(result, header.get("drawing_s", {}))
+            left_out = len(wished) - len(drawn)
+            outcome = replace(result, camera=job.camera, left_out=left_out)
         self._task = None
         self._tell(outcome)
 
@@ -211,7 +237,7 @@ class Supervisor:
         return True
 
     def _start_worker(self) -> None:
-        self._worker = WorkerProcess(self._context, self._factory, self._timeout_s)
+        self._worker = WorkerProcess(self._context, self._factory, self._timeout_s, self._nice)
         self._configured = None
         if self._stopping.is_set():
             raise WorkerDiedError("stopped")
@@ -230,10 +256,16 @@ class Supervisor:
                 self._configure(*configured)
 
     def _ask_to_warm_up(self) -> dict[str, Any]:
-        answer, _ = self._request({"kind": "warm_up"}, {}, timeout_s=_START_S)
+        assert self._worker is not None
+        answer, _ = self._worker.request({"kind": "warm_up"}, {}, _START_S, self._note_progress)
+        self.obstacle = ""
         if "error" in answer:
             raise WorkerDiedError(f"the worker cannot be started: {answer['error']}")
         return answer
+
+    def _note_progress(self, line: str) -> None:
+        self.obstacle = f"{STARTING}: {line}"
+        self._tell(Progress(line))
 
     def _request(
         self, header: dict[str, Any], arrays: Arrays, timeout_s: float | None = None
@@ -247,12 +279,7 @@ class Supervisor:
 
     def _lose_worker(self, error: Exception) -> None:
         """End the worker, so that the next one starts from nothing, and tell why."""
-        if isinstance(error, WorkerDiedError):
-            reason, trace = f"{error}; it is started again", ""
-        else:
-            name = type(error).__name__
-            reason = f"an error in the node ({name}: {error}); the worker is started again"
-            trace = traceback.format_exc()
+        reason, trace = why_lost(error)
         self.obstacle = reason
         self._end_worker()
         task, self._task = self._task, None
@@ -265,11 +292,6 @@ class Supervisor:
 
     def _ready_worker(self) -> WorkerProcess | None:
         return self._worker if self._configured is not None else None
-
-    def _kill(self) -> None:
-        worker = self._worker
-        if worker is not None:
-            worker.kill()
 
     def _end_worker(self) -> None:
         worker, self._worker = self._worker, None

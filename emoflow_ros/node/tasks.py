@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, PresentTwist
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.events import NS_PER_S, Window
 
 type Arrays = dict[str, NDArray[Any]]
 
@@ -82,6 +82,13 @@ class Job:
     config: Config
     wishes: Wishes = field(default_factory=Wishes)
 
+    @property
+    def interval_s(self) -> float:
+        """Event time from this window to the next one, s."""
+        policy, window = self.config.window, self.task.window
+        length = window.t_end - window.t_start if policy.count else policy.stride_ns
+        return length / NS_PER_S
+
     def thinned(self) -> "Job":
         """Return it with no more events in its window than the estimator may use."""
         budget = self.config.event_budget
@@ -97,12 +104,19 @@ class Result:
         estimate: `flow` and `motion` are None.
         pictures: those wished for, by name; none unless the status is OK and there is a flow.
         has_flow: whether there is one.
+        camera: whose window it was; None if that is not known.
+        left_out: how many pictures that were wished for are not drawn, for want of time.
+        wall_s, processor_s: what the estimate took, and what of that all threads of the worker ran.
     """
 
     task: Task
     estimate: Estimate
     pictures: Arrays = field(default_factory=dict)
     has_flow: bool = True
+    camera: Camera | None = None
+    left_out: int = 0
+    wall_s: float = 0.0
+    processor_s: float = 0.0
 
     @property
     def stamp(self) -> int:
@@ -147,7 +161,14 @@ class Notice:
     reason: str
 
 
-type Outcome = Result | Present | Loss | Notice
+@dataclass(frozen=True)
+class Progress:
+    """How far the worker is with its start; one line."""
+
+    line: str
+
+
+type Outcome = Result | Present | Loss | Notice | Progress
 
 
 class DropOldestQueue[T]:

@@ -1,10 +1,7 @@
 """The egomotion's topics: twists, at the scale and in the frame that were asked for."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,42 +9,23 @@ from builtin_interfaces.msg import Time
 from geometry_msgs import msg
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped, Vector3
 from numpy.typing import NDArray
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
-from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
 from emoflow_ros.core.estimate import (
     PresentTwist,
-    SpeedLog,
     Twist,
     at_middle,
-    covariance_at_speed,
     covariance_in_frame,
 )
 from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.errors import InputError
-from emoflow_ros.node.ros_arguments import refused_values
-from emoflow_ros.node.settings import OutputOptions, ScaleOptions
+from emoflow_ros.node.linear_covariance import published_covariance
+from emoflow_ros.node.settings import OutputOptions
 from emoflow_ros.node.target_frame import LATEST, Matrix, make_target_frame
 from emoflow_ros.node.tasks import Present, Result, Task
-from emoflow_ros.node.topic_search import import_message_type
-
-# Reads the velocity from each type of message: a vector or a number, in m/s.
-SPEED_TYPES: dict[str, Callable[[Any], Vector3 | float]] = {
-    "nav_msgs/msg/Odometry": lambda message: message.twist.twist.linear,
-    "geometry_msgs/msg/TwistStamped": lambda message: message.twist.linear,
-    "std_msgs/msg/Float64": lambda message: message.data,
-}
 
 _DEPTH = 10
-_SPEED_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-_LOOK_S = 0.2
 
 
 class TwistOutput:
@@ -55,7 +33,7 @@ class TwistOutput:
 
     Args:
         node: to publish with.
-        options: in which frame.
+        options: in which frame, and how the covariance says that nothing is known.
         made: gets the calls that take the topics away.
         present: whether motions of now will come; else `egomotion/twist` carries the windows'.
 
@@ -68,27 +46,31 @@ class TwistOutput:
     ) -> None:
         self._frame = make_target_frame(node, options)
         made.callback(self._frame.close)
+        self._form = options.linear_covariance
         self._last = (-1, 0)  # epoch and stamp
         self._twist = make_publisher(node, TwistStamped, "egomotion/twist", made)
         kind = TwistWithCovarianceStamped
         self._of_windows = make_publisher(node, kind, "egomotion/twist_with_covariance", made)
         self._of_now = make_publisher(node, kind, "egomotion/twist_now", made) if present else None
 
-    def publish(self, result: Result, factor: float) -> None:
-        """Publish a window's twist, its linear part times this factor.
+    def publish(self, result: Result, speed: float | None) -> None:
+        """Publish a window's twist at this speed, m/s, or with a unit direction.
 
         Raises:
             NoTransformError: the rotation into the frame is not known at the window's time.
         """
         rotation = self._frame.rotation(result.task.frame_id, result.stamp)
         found = PresentTwist(at_middle(result.estimate), result.estimate.covariance)
-        message = self._to_message(result.task, result.stamp, found, factor, rotation)
+        message = self._to_message(result.task, result.stamp, found, speed, rotation)
         if self._of_now is None:
             self._publish_increasing(result.task, message)
         self._of_windows.publish(message)
 
-    def publish_present(self, present: Present, factor: float) -> None:
-        """Publish the motion of now, its linear part times this factor.
+    def publish_present(self, present: Present, speed: float | None) -> bool:
+        """Publish the motion of now, in the same way, if it is the newest.
+
+        Returns:
+            Whether it is published.
 
         Raises:
             NoTransformError: the rotation into the frame is not known.
@@ -96,9 +78,11 @@ class TwistOutput:
         assert self._of_now is not None
         task, found = present.task, present.found
         rotation = self._frame.rotation(task.frame_id, LATEST)  # tf comes later than events
-        message = self._to_message(task, task.to_ros(found.twist.t), found, factor, rotation)
-        if self._publish_increasing(task, message):
+        message = self._to_message(task, task.to_ros(found.twist.t), found, speed, rotation)
+        is_newest = self._publish_increasing(task, message)
+        if is_newest:
             self._of_now.publish(message)
+        return is_newest
 
     def _publish_increasing(self, task: Task, message: TwistWithCovarianceStamped) -> bool:
         stamp = (task.epoch, to_ns(message.header.stamp))
@@ -109,137 +93,14 @@ class TwistOutput:
         return True
 
     def _to_message(
-        self, task: Task, stamp: int, found: PresentTwist, factor: float, rotation: Matrix
+        self, task: Task, stamp: int, found: PresentTwist, speed: float | None, rotation: Matrix
     ) -> TwistWithCovarianceStamped:
-        twist = found.twist.at_speed(factor).in_frame(rotation)
-        covariance = covariance_at_speed(found.covariance, factor)
+        twist = found.twist if speed is None else found.twist.at_speed(speed)
+        direction = found.twist.linear
+        covariance = published_covariance(found.covariance, direction, speed, self._form)
         covariance = covariance_in_frame(covariance, rotation)
         header = to_header(stamp, self._frame.name(task.frame_id))
-        return to_twist_with_covariance(twist, covariance, header)
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """The scale of one window.
-
-    Attributes:
-        factor: of the unit direction: a speed in m/s, or 1.
-        source: where it comes from, as `scale.source` names it.
-        problem: why it is not what was asked for; empty if it is.
-    """
-
-    factor: float = 1.0
-    source: str = "none"
-    problem: str = ""
-
-
-class Scale:
-    """The scale at the time of a window, from nowhere, a parameter or a topic.
-
-    Args:
-        node: listens to the topic, if there is one.
-        options: where the scale comes from.
-    """
-
-    def __init__(self, node: Node, options: ScaleOptions) -> None:
-        self._node = node
-        self._options = options
-        self._input: SpeedInput | None = None
-        self.set_options(options)
-
-    def set_options(self, options: ScaleOptions) -> None:
-        """Take the scale from where these options say from now on."""
-        topic = options.topic if options.source == "topic" else None
-        if self._input is not None and self._input.topic != topic:
-            self.close()
-        if self._input is None and topic is not None:
-            self._input = SpeedInput(self._node, topic)
-        self._options = options
-
-    def at(self, stamp: int) -> Scaling:
-        """Return the scale at this ROS time (ns): none where the topic's speed is too old."""
-        options = self._options
-        if options.source == "parameter":
-            return Scaling(options.speed, "parameter")
-        if self._input is None:
-            return Scaling()
-        speed = self._input.log.at(stamp, round(options.max_age_s * NS_PER_S))
-        if speed is None:
-            reason = self._input.problem or (
-                f"no speed on {self._input.topic} within {options.max_age_s:g} s of the window"
-            )
-            return Scaling(problem=f"{reason}; linear is a unit direction")
-        return Scaling(speed, "topic")
-
-    def close(self) -> None:
-        """Stop listening."""
-        if self._input is not None:
-            self._input.close()
-            self._input = None
-
-
-class SpeedInput:
-    """Looks for a topic until somebody publishes it, then keeps the speeds that it carries.
-
-    A message without a stamp counts from its arrival. Speeds that are not finite are left out.
-
-    Args:
-        node: to subscribe with.
-        topic: its name.
-
-    Attributes:
-        topic: its name, as given.
-        log: the speeds by ROS time.
-        problem: why there is no subscription yet; empty if there is one.
-    """
-
-    def __init__(self, node: Node, topic: str) -> None:
-        self.topic = topic
-        self.log = SpeedLog()
-        self.problem = ""
-        self._node = node
-        self._subscription: Subscription | None = None
-        self._timer = node.create_timer(
-            _LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
-        self._look()
-
-    def close(self) -> None:
-        """Unsubscribe, or look no longer."""
-        self._node.destroy_timer(self._timer)
-        if self._subscription is not None:
-            self._node.destroy_subscription(self._subscription)
-
-    def _look(self) -> None:
-        name = self._node.resolve_topic_name(self.topic)
-        types = [p.topic_type for p in self._node.get_publishers_info_by_topic(name)]
-        if not types:
-            self.problem = f"nobody publishes {name}"
-            return
-        if types[0] not in SPEED_TYPES:
-            known = ", ".join(SPEED_TYPES)
-            self.problem = f"{name}: {types[0]} holds no speed, give a topic of one of {known}"
-            return
-        try:
-            message_type = import_message_type(types[0])
-        except InputError as error:
-            self.problem = str(error)
-            return
-        self.problem = ""
-        self._node.destroy_timer(self._timer)
-        take = partial(self._take, ros_type=types[0])
-        overrides = QoSOverridingOptions.with_default_policies()
-        with refused_values():  # of qos_overrides; they cannot change, so this ends the node
-            self._subscription = self._node.create_subscription(
-                message_type, name, take, _SPEED_QOS, qos_overriding_options=overrides
-            )
-
-    def _take(self, message: Any, ros_type: str) -> None:
-        stamp, speed = to_speed(message, ros_type)
-        if stamp is None:
-            stamp = self._node.get_clock().now().nanoseconds
-        if math.isfinite(speed):
-            self.log.add(stamp, speed)
+        return to_twist_with_covariance(twist.in_frame(rotation), covariance, header)
 
 
 def make_publisher(node: LifecycleNode, message_type: Any, topic: str, made: ExitStack) -> Any:
@@ -266,28 +127,11 @@ def to_ns(stamp: Time) -> int:
 def to_twist_with_covariance(
     twist: Twist, covariance: NDArray[np.float64], header: Header
 ) -> TwistWithCovarianceStamped:
-    """Build the twist with its covariance, row-major over (linear, angular).
-
-    covariance[0] is -1 where translation is not observable.
-    """
+    """Build the twist with its covariance, row-major over (linear, angular)."""
     message = TwistWithCovarianceStamped(header=header)
     message.twist.twist = _twist(twist)
     message.twist.covariance = np.asarray(covariance, np.float64).ravel()
     return message
-
-
-def to_speed(message: Any, ros_type: str) -> tuple[int | None, float]:
-    """Read the time of a message, ROS time in ns or None without a stamp, and its speed in m/s.
-
-    Args:
-        message: of one of SPEED_TYPES.
-        ros_type: which one.
-    """
-    velocity = SPEED_TYPES[ros_type](message)
-    if isinstance(velocity, float):
-        return None, abs(velocity)
-    speed = math.hypot(velocity.x, velocity.y, velocity.z)
-    return to_ns(message.header.stamp) or None, speed
 
 
 def _twist(twist: Twist) -> msg.Twist:

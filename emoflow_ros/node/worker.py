@@ -1,19 +1,20 @@
 """What runs in the worker process, which alone imports the estimators.
 
-The worker answers one request at a time, `warm_up`, `configure` or `window`, over a `Channel`. Over
-another one a thread of its own answers slices while a window is estimated. The worker ends when the
-node's end of the first channel closes.
+The worker answers one request at a time, `warm_up`, `configure` or `window`, over a `Channel`. Its
+progress with the warm-up comes before that answer. Over another channel a thread of its own answers
+slices while a window is estimated. The worker ends when the node's end of the first channel closes.
 """
 
 import contextlib
 import ctypes
+import errno
 import importlib
 import os
 import signal
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -21,22 +22,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from emoflow_ros import compiled_code
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
+from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.products import (
-    Tracker,
-    Tracks,
-    flow_to_rgb,
-    sharpened_events,
-    trails_at_unit_depth,
-)
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.channel import Channel, pack, pack_present, unpack_window
-from emoflow_ros.node.tasks import Arrays, Picture, Wishes
+from emoflow_ros.node.painter import Painter
+from emoflow_ros.node.tasks import Arrays, Wishes
 
 if TYPE_CHECKING:
     from emoflow_ros.core.present_motion import PresentMotion
@@ -50,32 +46,33 @@ _WARM_UP_LENGTH = 90 * NS_PER_MS
 WARM_UP_ENDS = tuple(_WARM_UP_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
 _WARM_UP_EVENTS = 60_000
 _WARM_UP_SPEED = 200  # px/s
-# The node's own process comes first on a busy machine: else the newest events wait unread.
-_NICE = 10
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
+_UNWRITABLE = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
 _M_ARENA_MAX = -8  # of glibc's mallopt
-_TRACKED = 4  # windows: longer tracks tangle where the motion is fast
 
 
-def serve(connection: Connection, slices: Connection, factory: str) -> None:
+def serve(connection: Connection, slices: Connection, factory: str, nice: int) -> None:
     """Run the worker until the connection closes.
 
     Args:
         connection: to the node, for everything but slices.
         slices: to the node.
         factory: `module:function` that makes the estimator from a camera and a Config.
+        nice: how much lower its priority is than the node's.
     """
     # A terminal sends Ctrl-C to all of its processes; the node decides when its worker ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.setswitchinterval(_SWITCH_S)
-    os.nice(_NICE)
+    os.nice(nice)
     _share_memory()
     module, _, function = factory.partition(":")
-    worker = _Worker(getattr(importlib.import_module(module), function))
+    channel = Channel(connection)
+    make_estimator = getattr(importlib.import_module(module), function)
+    worker = _Worker(make_estimator, lambda progress: channel.send(progress, {}))
     beside = (Channel(slices), worker.answer_slice)
     threading.Thread(target=_answer_all, args=beside, name="slices", daemon=True).start()
-    _answer_all(Channel(connection), worker.answer)
+    _answer_all(channel, worker.answer)
 
 
 def _share_memory() -> None:
@@ -95,8 +92,13 @@ def _answer_all(
 
 
 class _Worker:
-    def __init__(self, make_estimator: EstimatorFactory) -> None:
+    def __init__(
+        self,
+        make_estimator: EstimatorFactory,
+        tell: Callable[[dict[str, Any]], None] = lambda progress: None,
+    ) -> None:
         self._make_estimator = make_estimator
+        self._tell = tell
         self._estimator: Estimator | None = None
         self._painter: Painter | None = None
         self._present: PresentMotion | None = None
@@ -140,9 +142,8 @@ class _Worker:
         Returns:
             `compiled`: whether anything was compiled, and not found on disk.
         """
-        from numba.core import event
-
         from emoflow_ros.core.present_motion import PresentMotion
+        from emoflow_ros.node.compilation import watched
 
         camera, config = WARM_UP_CAMERA, Config()
         rng = np.random.default_rng(0)
@@ -154,12 +155,12 @@ class _Worker:
         estimator = self._make_estimator(camera, config)
         assert isinstance(config.estimator, LatticeConfig)
         present = PresentMotion(camera, config.estimator)
-        with event.install_recorder("numba:compile") as compilations:
+        with watched(lambda line: self._tell({"progress": line})) as compilation:
             for end in WARM_UP_ENDS:
                 window = Window(0, end, events[: np.searchsorted(t, end)])
                 present.know(estimator.estimate(window.since(end - _WARM_UP_LENGTH)))
                 present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
-        return {"compiled": bool(compilations.buffer)}
+        return {"compiled": bool(compilation.count)}
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:
         camera = Camera(**header["camera"] | {"distortion": tuple(header["camera"]["distortion"])})
@@ -181,7 +182,12 @@ class _Worker:
         if header["cold"]:
             self._estimator.reset()
         window = unpack_window(header, arrays)
+        began = time.monotonic(), time.process_time()
         estimate = self._estimator.estimate(window)
+        work = {
+            "wall_s": time.monotonic() - began[0],
+            "processor_s": time.process_time() - began[1],
+        }
         answer, values = pack(estimate)
         if estimate.status is Status.OK and not all(
             np.isfinite(value).all() for value in values.values()
@@ -190,67 +196,20 @@ class _Worker:
             estimate = replace(estimate, status=Status.DIVERGED, flow=None, motion=None)
             answer, values = pack(estimate)
         self._last = estimate, window.gyro
+        answer |= work
         if estimate.status is not Status.OK:
             return answer, values
         window = window.since(estimate.t_start)
         values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)
-        return answer, values
-
-
-class Painter:
-    """Draws the pictures of one window after another.
-
-    Args:
-        camera: whose windows they are.
-    """
-
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
-        self._tracker: Tracker | None = None
-        self._recent: deque[Tracks] = deque(maxlen=_TRACKED)
-
-    def draw(self, wishes: Wishes, estimate: Estimate, window: Window) -> Arrays:
-        """Draw the pictures that are wanted, of the sensor's size, at the estimate's time.
-
-        Returns:
-            Arrays by `Picture`: the flow (height, width, 2) in px/s, NaN = none, with a
-            flow_stride of n only its pixels (n * row, n * column); its colours
-            (height, width, 3); the sharpened events (height, width); the point tracks up to
-            the window's end as line segments (S, 2, 4), see `trails_at_unit_depth`.
-        """
-        flow = estimate.flow
-        if flow is None:
-            return {}
-        pictures: Arrays = {}
-        if {Picture.FLOW, Picture.COLOR} & set(wishes.pictures):
-            pictures[Picture.FLOW] = np.asarray(flow.velocity(estimate.t), np.float32)
-        if Picture.COLOR in wishes.pictures:
-            longest = wishes.flow_color_max or None
-            pictures[Picture.COLOR] = flow_to_rgb(pictures[Picture.FLOW], longest)
-        if Picture.FLOW in wishes.pictures:
-            stride = wishes.flow_stride
-            pictures[Picture.FLOW] = pictures[Picture.FLOW][::stride, ::stride]
-        if Picture.EVENTS in wishes.pictures:
-            size = (self._camera.width, self._camera.height)
-            pictures[Picture.EVENTS] = sharpened_events(window, flow, estimate.t, *size)
-        if Picture.TRACKS in wishes.pictures:
-            tracks = self._follow(flow, window, wishes.tracks)
-            pictures[Picture.TRACKS] = trails_at_unit_depth(tracks, self._camera)
-        return {name: pictures[name] for name in wishes.pictures}
-
-    def _follow(self, flow: FlowSampler, window: Window, count: int) -> Sequence[Tracks]:
-        """Carry the points through the window; return the last windows' tracks."""
-        if self._tracker is None:
-            size = (self._camera.width, self._camera.height)
-            self._tracker = Tracker(count, *size, longest=_TRACKED)
-        self._recent.append(self._tracker.follow(flow, window.t_start, window.t_end))
-        return self._recent
+        return answer | {"drawing_s": self._painter.took}, values
 
 
 def _describe(error: Exception) -> dict[str, Any]:
     """Say what went wrong, whether CUDA did, and whether the process can go on after it."""
     device = "CUDA" in str(error)
     out_of_memory = isinstance(error, MemoryError) or "DefaultCPUAllocator" in str(error)
+    if isinstance(error, OSError) and error.errno in _UNWRITABLE:
+        error = compiled_code.not_kept(error)  # the one thing that a worker writes
     if isinstance(error, InputError):
         return {"error": str(error), "device": device, "fatal": False}
     line = " ".join(f"{type(error).__name__}: {error}".split()) + keep_traceback(error)

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerContext
@@ -18,6 +19,15 @@ class WorkerDiedError(Exception):
     """The worker ended, or was ended, before it answered."""
 
 
+def why_lost(error: Exception) -> tuple[str, str]:
+    """Say why a worker is given up, while the exception is handled; the traceback if it is ours."""
+    if isinstance(error, WorkerDiedError):
+        return f"{error}; it is started again", ""
+    name = type(error).__name__
+    reason = f"an error in the node ({name}: {error}); the worker is started again"
+    return reason, traceback.format_exc()
+
+
 class WorkerProcess:
     """A worker, started; one thread uses it, another one has slices estimated, any may kill it.
 
@@ -25,6 +35,7 @@ class WorkerProcess:
         context: how processes are started.
         factory: `module:function` that makes the estimator.
         stall_s: time for a transfer that has begun.
+        nice: how much lower its priority is than the node's.
 
     Attributes:
         pid: its process id.
@@ -33,11 +44,16 @@ class WorkerProcess:
         WorkerDiedError: it cannot be started.
     """
 
-    def __init__(self, context: ForkServerContext, factory: str, stall_s: float) -> None:
+    def __init__(
+        self, context: ForkServerContext, factory: str, stall_s: float, nice: int = 0
+    ) -> None:
         mine, its = context.Pipe()
         my_slices, its_slices = context.Pipe()
         self._process = context.Process(
-            target=serve, args=(its, its_slices, factory), name="estimator_worker", daemon=True
+            target=serve,
+            args=(its, its_slices, factory, nice),
+            name="estimator_worker",
+            daemon=True,
         )
         try:
             self._process.start()
@@ -50,18 +66,38 @@ class WorkerProcess:
             its_slices.close()
         self.pid: int | None = self._process.pid
         self._killed_because = ""
+        self._asked_at: float | None = None
         self._channel = Channel(mine, stall_s)
         self._slices = Channel(my_slices, stall_s)
 
     def request(
-        self, header: Mapping[str, Any], arrays: Arrays, limit: float
+        self,
+        header: Mapping[str, Any],
+        arrays: Arrays,
+        limit: float,
+        note: Callable[[str], None] = lambda progress: None,
     ) -> tuple[dict[str, Any], Arrays]:
-        """Send a request and wait for the answer, for `limit` seconds at most.
+        """Send a request and wait for the answer.
+
+        Args:
+            header, arrays: the request.
+            limit: how long the worker may be silent, s.
+            note: gets what the worker says of its progress before it answers.
 
         Raises:
-            WorkerDiedError: there is none in that time.
+            WorkerDiedError: the worker is silent for longer, or dies.
         """
-        return self._ask(self._channel, header, arrays, limit)
+        self._asked_at = time.monotonic()
+        try:
+            return self._ask(self._channel, header, arrays, limit, note)
+        finally:
+            self._asked_at = None
+
+    @property
+    def busy_s(self) -> float:
+        """How long a request, other than a slice, has been without an answer, s; 0 without one."""
+        asked_at = self._asked_at
+        return 0.0 if asked_at is None else time.monotonic() - asked_at
 
     def estimate_slice(
         self, header: Mapping[str, Any], arrays: Arrays, limit: float
@@ -74,11 +110,20 @@ class WorkerProcess:
         return self._ask(self._slices, header, arrays, limit)
 
     def _ask(
-        self, channel: Channel, header: Mapping[str, Any], arrays: Arrays, limit: float
+        self,
+        channel: Channel,
+        header: Mapping[str, Any],
+        arrays: Arrays,
+        limit: float,
+        note: Callable[[str], None] = lambda progress: None,
     ) -> tuple[dict[str, Any], Arrays]:
         try:
             channel.send(header, arrays)
-            return channel.receive(limit)
+            answer = channel.receive(limit)
+            while "progress" in answer[0]:
+                note(answer[0]["progress"])
+                answer = channel.receive(limit)
+            return answer
         except TimeoutError:
             reason = f"the worker gave no answer in {limit:g} s and was ended"
             raise WorkerDiedError(reason) from None

@@ -1,12 +1,17 @@
 """When a replay sends its messages, on a clock of the test's own."""
 
+from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from emoflow_ros.commands.replay import Pace
+from emoflow_ros.commands.replay import Pace, Player
+from emoflow_ros.readers.bag_files import open_bag
 
 
 class Clock:
@@ -63,3 +68,31 @@ def test_a_stop_of_a_late_replay_leaves_it_as_late() -> None:
     assert lag == pytest.approx(0.29)
     assert times[12] == pytest.approx(50.39, abs=0.02)
     assert times[-1] == pytest.approx(50.39, abs=0.1)
+
+
+@pytest.mark.parametrize("acknowledged", [True, False])
+def test_rounds_follow_one_another_and_subscribers_are_waited_for_at_the_end_only(
+    tmp_path: Path,
+    make_events: Callable[..., Any],
+    write_event_bag: Callable[..., Path],
+    acknowledged: bool,
+) -> None:
+    """An acknowledgment may take 3 s, which is longer than a short recording."""
+    published: list[bytes] = []
+    waits: list[float] = []
+
+    def wait(duration: Any) -> bool:
+        waits.append(duration.nanoseconds / 1e9)
+        return acknowledged
+
+    publisher = SimpleNamespace(publish=published.append, wait_for_all_acked=wait)
+    node: Any = SimpleNamespace(create_publisher=lambda *_: publisher)
+    path = write_event_bag(tmp_path / "short.bag", [make_events(3)])
+    with open_bag(path) as reader:
+        player = Player(node, path, reader, topics=["/cam/camera_info"], with_clock=False)
+        for _ in range(3):
+            player.play(1000.0)
+        assert (len(published), waits) == (3, [])
+        assert player.finish() is acknowledged
+    assert len(waits) == 1
+    assert 3.0 < waits[0] <= 4.0

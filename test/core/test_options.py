@@ -64,6 +64,8 @@ def test_ranges_include_their_ends(value):
         ("inner.count", True, "True is not of type int"),
         ("inner.count", None, "None is not of type int"),
         ("inner.weight", "1", "'1' is not of type float"),
+        ("inner.weight", "1e", "'1e' is not of type float"),
+        ("inner.weight", "1e9", "is out of range; use 0 to 10"),
         ("inner.weight", True, "True is not of type float"),
         ("inner.verbose", 1, "1 is not of type bool"),
         ("inner.mode", 3, "3 is not of type str"),

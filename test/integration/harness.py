@@ -22,6 +22,7 @@ from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -37,8 +38,7 @@ WAIT_S = 60.0  # far more than is needed: what fails on a slow machine is not th
 
 WAITING = "input.queue_windows:=8"
 OF_WINDOWS = "output.twist_rate:=0.0"
-_AGAIN_S = 10.0  # after which a request is sent again
-_CAMERA_INFO_S = 0.2
+_AGAIN_S, _CAMERA_INFO_S = 10.0, 0.2  # after which a request, or a calibration, is sent again
 _DRIVER_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -51,8 +51,8 @@ def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = WAIT_S)
 
 def contention() -> float:
     """How many times longer than on an idle machine a computation takes now, at least 1."""
-    wall, processor = time.monotonic(), time.process_time()
-    while time.process_time() - processor < 0.1:
+    wall, end = time.monotonic(), time.process_time() + 0.1
+    while time.process_time() < end:
         pass
     return max(1.0, (time.monotonic() - wall) / 0.1)
 
@@ -103,13 +103,22 @@ class Peer:
         self._subscribe(
             TwistWithCovarianceStamped, "/egomotion/twist_with_covariance", self.covariances
         )
-        self._subscribe(DiagnosticArray, "/diagnostics", self.diagnostics)
+        self._hear_diagnostics(self.diagnostics)
 
     def subscribe_flow(self) -> None:
         self._subscribe(Image, "/flow/image", self.images)
 
-    def _subscribe(self, message_type: Any, topic: str, messages: list[Any]) -> None:
-        self.node.create_subscription(message_type, topic, messages.append, 100)
+    def _subscribe(self, kind: Any, topic: str, messages: list[Any]) -> None:
+        self.node.create_subscription(kind, topic, messages.append, 100)
+
+    def _hear_diagnostics(self, messages: list[DiagnosticArray]) -> Subscription:
+        """Hear of nodes that are configured: shared ones of other tests may be there, too."""
+        return self.node.create_subscription(
+            DiagnosticArray,
+            "/diagnostics",
+            lambda m: m.status[0].values and messages.append(m),
+            100,
+        )
 
     def hear(self) -> None:
         """Wait until everything that the node under test will say arrives here.
@@ -118,7 +127,7 @@ class Peer:
         is heard by the newest, all the others are known to it.
         """
         heard: list[DiagnosticArray] = []
-        newest = self.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        newest = self._hear_diagnostics(heard)
         self.spin_until(lambda: heard, "the node is heard")
         self.node.destroy_subscription(newest)
 
@@ -132,8 +141,8 @@ class Peer:
             self._executor.spin_once(timeout_sec=0.05)
 
     def spin_for(self, seconds: float) -> None:
-        deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 
     def connect(self) -> None:
@@ -223,10 +232,9 @@ class Processes:
     def start(self, *command: str) -> subprocess.Popen[bytes]:
         """Start a command; its output goes to a file of its own (see `output`)."""
         log = self._log(len(self.started)).open("wb")
-        environment = dict(os.environ)
-        paths = [str(ROOT), str(ROOT / "test" / "node"), environment.get("PYTHONPATH", "")]
-        environment["PYTHONPATH"] = os.pathsep.join(p for p in paths if p)
-        environment["PYTHONUNBUFFERED"] = "1"
+        paths = [str(ROOT), str(ROOT / "test" / "node"), os.environ.get("PYTHONPATH", "")]
+        path = os.pathsep.join(p for p in paths if p)
+        environment = os.environ | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
         with log:
             process = subprocess.Popen(
                 command, stdout=log, stderr=log, env=environment, start_new_session=True
@@ -239,8 +247,8 @@ class Processes:
     ) -> subprocess.Popen[bytes]:
         """Start the node as its console script does; `parameters` as in `name:=value`.
 
-        Windows wait unless the parameters say otherwise: tests publish faster than a camera.
-        In the same way `egomotion/twist` carries one twist per window.
+        Unless these say otherwise windows wait, since tests publish faster than a camera, and
+        `egomotion/twist` carries one twist per window.
         """
         code = (
             f"import sys; from emoflow_ros.node.executable import main; sys.exit(main('{factory}'))"

@@ -6,10 +6,11 @@ import sys
 
 import numpy as np
 import pytest
+from dvs_msgs.msg import EventArray
 from harness import CAMERA, MS, WAIT_S, Peer, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from shared_node import SharedNode
 
@@ -68,6 +69,28 @@ def test_incompatible_qos_is_said_with_both_sides(peer: Peer, processes: Process
     )
     [subscription] = peer.node.get_subscriptions_info_by_topic("/events")
     assert subscription.qos_profile.reliability.name == "RELIABLE"  # the override is honoured
+
+
+def test_driver_that_comes_later_and_is_best_effort_is_heard(processes: Processes) -> None:
+    """A reliable subscription would stay deaf to it."""
+    with Peer(reliability=ReliabilityPolicy.RELIABLE) as peer:
+        node = processes.start_fake("Recorder")
+        peer.connect()
+        peer.publish_camera()
+        run_windows(peer, 1000, 1031)
+        peer.spin_until(lambda: len(peer.twists) == 3, "twists of the first publisher")
+        [subscription] = peer.node.get_subscriptions_info_by_topic("/events")
+        assert subscription.qos_profile.reliability is ReliabilityPolicy.RELIABLE
+        peer.node.destroy_publisher(peer.events)
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        peer.events = peer.node.create_publisher(EventArray, "/events", qos)
+        peer.spin_until(peer.events.get_subscription_count, "it is heard, too")
+        peer.spin_until(
+            lambda: "subscribed to best effort from now on" in processes.output(node), "the line"
+        )
+        run_windows(peer, 1035, 1066)
+        peer.spin_until(lambda: len(peer.twists) >= 5, "twists of the second publisher")
+        assert "no event arrives" not in peer.status()["message"]
 
 
 def test_subscriber_that_never_reads_holds_up_nobody(

@@ -101,9 +101,9 @@ def test_overload_drops_the_oldest_windows_and_recovers(peer: Peer, processes: P
     assert 3 <= received < 40
     peer.spin_until(lambda: peer.status().get("windows_ok") == str(received), "the count")
     assert int(peer.status()["windows_dropped"]) == 40 - received
-    assert "slower than the events" in "".join(
-        s.message for d in peer.diagnostics for s in d.status
-    )
+    # The fake estimator sleeps, as one does that gets nothing of the processor.
+    said = "".join(s.message for d in peer.diagnostics for s in d.status)
+    assert " windows dropped: other processes leave the estimation 0% of a core; end them" in said
     for t in (1405, 1410):  # one window, in time
         peer.publish_events(t * MS)
     peer.spin_until(lambda: stamp(peer.twists[-1]) == 1405 * MS, "the window after the overload")

@@ -32,9 +32,9 @@ def worker_of(pid: int) -> list[int]:
 
 
 def outputs_of(peer: Peer) -> list[str]:
-    """Topics of the node that somebody still publishes."""
+    """Topics of a configured node that somebody still publishes; diagnostics come always."""
     names = [name for name, _ in peer.node.get_topic_names_and_types()]
-    ours = [n for n in names if n.startswith(("/egomotion/", "/flow/", "/diagnostics"))]
+    ours = [n for n in names if n.startswith(("/egomotion/", "/flow/"))]
     return [name for name in ours if peer.node.count_publishers(name)]
 
 

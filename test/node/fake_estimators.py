@@ -1,5 +1,6 @@
 """Estimators that the worker runs in tests: each shows one good or bad behaviour."""
 
+import errno
 import os
 import resource
 import signal
@@ -61,6 +62,13 @@ class Compiler(Recorder):
     def estimate(self, window: Window) -> Estimate:
         numba.njit(lambda x: x + 1)(1)
         return replace(super().estimate(window), angular=np.array([os.getpid(), 0.0, 0.0]))
+
+
+class FullDisk(Recorder):
+    """Its compiled code cannot be written."""
+
+    def estimate(self, window: Window) -> Estimate:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
 
 class GyroRecorder(Recorder):

@@ -25,6 +25,7 @@ class FakeSupervisor:
         self.ready = threading.Event()
         self.obstacle = ""
         self.has_ended = False
+        self.busy_s = 0.0
         self.pid = None
         self.running = False
 

@@ -9,10 +9,17 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.supervisor import Supervisor
-from emoflow_ros.node.tasks import Job, Loss, Notice, Result, Task, Wishes
+from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Progress, Result, Task, Wishes
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 WAIT_S = 60.0
+
+
+def next_outcome(supervisor: Supervisor) -> Outcome:
+    """Wait for the next one; what a worker says of its start is none."""
+    while isinstance(outcome := supervisor.outcomes.get(timeout=WAIT_S), Progress):
+        pass
+    return outcome
 
 
 class Bench:
@@ -39,6 +46,15 @@ class Bench:
         )
         self.outcomes = self.supervisor.outcomes
 
+    def progress(self) -> list[str]:
+        """What has been said of the worker's start, if nothing else has come out yet."""
+        lines = []
+        while not self.outcomes.empty():
+            outcome = self.outcomes.get()
+            assert isinstance(outcome, Progress), outcome
+            lines.append(outcome.line)
+        return lines
+
     def put(self, *, x: int = 0, count: int = 5, t: int = 1000, epoch: int = 0) -> None:
         events = Events(
             np.full(count, x, np.uint16),
@@ -54,17 +70,17 @@ class Bench:
         self.supervisor.slices.put([Task(window, 0, 0, "camera", 0.0, is_slice=True)])
 
     def result(self) -> Result:
-        outcome = self.outcomes.get(timeout=WAIT_S)
+        outcome = next_outcome(self.supervisor)
         assert isinstance(outcome, Result), outcome
         return outcome
 
     def loss(self) -> Loss:
-        outcome = self.outcomes.get(timeout=WAIT_S)
+        outcome = next_outcome(self.supervisor)
         assert isinstance(outcome, Loss), outcome
         return outcome
 
     def notice(self) -> Notice:
-        outcome = self.outcomes.get(timeout=WAIT_S)
+        outcome = next_outcome(self.supervisor)
         assert isinstance(outcome, Notice), outcome
         return outcome
 

@@ -4,16 +4,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from fake_clock import Clock
+from statistics_bench import make_result, some_events
 
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events, Window
-from emoflow_ros.node.diagnostics import Level, Statistics, resident_mb
+from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.events import Window
+from emoflow_ros.node.diagnostics import Statistics, resident_mb
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Loss, Result, Task
-
-
-def some_events(count: int) -> Events:
-    zeros = np.zeros(count, np.uint16)
-    return Events(zeros, zeros, np.arange(count, dtype=np.int64), zeros.astype(bool))
 
 
 @pytest.fixture
@@ -23,12 +20,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def result() -> Callable[..., Result]:
-    def make(received: float, status: Status = Status.OK, stop_reason: str = "converged") -> Result:
-        task = Task(Window(0, 1, Events.empty()), 0, 0, "", received)
-        quality = Quality(events=1, iterations=17, stop_reason=stop_reason)
-        return Result(task, Estimate(0, 1, 0, status, quality))
-
-    return make
+    return make_result
 
 
 def test_rates_hold_since_the_last_report(clock: Clock, result: Callable[..., Result]) -> None:
@@ -38,6 +30,7 @@ def test_rates_hold_since_the_last_report(clock: Clock, result: Callable[..., Re
         clock.now += 0.5
         statistics.add_events(1000)
         statistics.add_result(result(clock.now - 0.1))
+        statistics.stream.give()
     report = statistics.report(2.0)
     assert report.values["events_per_s"] == "2000"
     assert report.values["windows_per_s"] == "2.00"
@@ -91,75 +84,6 @@ def test_loss_warns_once(clock: Clock) -> None:
     assert report.message == "3 windows dropped: too slow"
     assert (report.values["windows_dropped"], report.values["events_dropped"]) == ("3", "12")
     assert statistics.report(2.0).level is Level.OK
-
-
-@pytest.mark.parametrize(
-    ("count", "reason"),
-    [
-        ("wrong_size_messages", "messages of another sensor size: give this sensor's calibration"),
-        ("unordered_messages", "messages with event times out of order: check the driver"),
-        ("events_outside", "events outside the calibration's image"),
-    ],
-)
-def test_messages_that_are_all_left_out_are_no_silence(
-    clock: Clock, count: str, reason: str
-) -> None:
-    statistics = Statistics(clock)
-    statistics.add_events(5)
-    for _ in range(250):  # at 100 Hz
-        clock.now += 0.01
-        statistics.counts[count] += 1
-        statistics.add_events(0)
-    report = statistics.report(2.0)
-    assert report.level is Level.ERROR
-    assert report.message.startswith(f"nothing to use for 2.5 s: 250 {reason}")
-
-
-def test_messages_that_cannot_be_read_are_no_silence(clock: Clock) -> None:
-    statistics = Statistics(clock)
-    for _ in range(250):
-        clock.now += 0.01
-        statistics.add_malformed()
-    report = statistics.report(2.0)
-    assert report.level is Level.ERROR
-    assert "250 malformed messages: check the driver's message version" in report.message
-
-
-def test_empty_messages_are_not_the_driver_s_silence(clock: Clock) -> None:
-    statistics = Statistics(clock)
-    for _ in range(250):
-        clock.now += 0.01
-        statistics.add_events(0)
-    report = statistics.report(2.0)
-    assert (report.level, report.message) == (
-        Level.WARN,
-        "messages without events for 2.5 s: check the camera",
-    )
-
-
-def test_windows_that_all_hold_too_few_events_warn(
-    clock: Clock, result: Callable[..., Result]
-) -> None:
-    statistics = Statistics(clock)
-    for _ in range(11):
-        statistics.add_result(result(clock.now, Status.TOO_FEW_EVENTS))
-    report = statistics.report(2.0)
-    assert report.level is Level.WARN
-    assert report.message == (
-        "11 windows with too few events, and none with enough: the camera is at rest, or "
-        "estimator.min_events is too high for its windows"
-    )
-    for status in (Status.TOO_FEW_EVENTS, Status.OK):
-        statistics.add_result(result(clock.now, status))
-    assert statistics.report(2.0).message == "running"
-
-
-def test_windows_without_motion_are_said(clock: Clock, result: Callable[..., Result]) -> None:
-    statistics = Statistics(clock)
-    for _ in range(3):
-        statistics.add_result(result(clock.now, Status.NO_MOTION))
-    report = statistics.report(2.0)
-    assert (report.level, report.message) == (Level.OK, "running, no motion in 3 windows")
 
 
 def test_error_in_the_node_is_an_error_and_counted(clock: Clock) -> None:

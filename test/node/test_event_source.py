@@ -11,8 +11,9 @@ from graph import DVS, Graph
 from headers import message
 
 from emoflow_ros.node.backlog import LeftOut
-from emoflow_ros.node.diagnostics import Level, Statistics
+from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_source import Callbacks, EventSource
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Loss
 from emoflow_ros.node.topic_search import SETTLING_S, EventTopic, TopicSearch
 

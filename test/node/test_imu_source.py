@@ -24,8 +24,8 @@ from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack, unpack
-from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.pipeline import Pipeline
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Job, Result, Task
 from emoflow_ros.node.topic_search import EventTopic
@@ -67,11 +67,12 @@ class Bench:
         info = deserialize_message(ENCODER.camera_info(0, CAMERA), CameraInfo)
         self.pipeline.take_camera_info(info)
 
-    def events(self, first_ms: int, last_ms: int) -> None:
+    def events(self, first_ms: int, last_ms: int, late_ms: int = 0) -> None:
+        """Events whose messages have stamps so much later."""
         for ms in range(first_ms, last_ms, 5):
             zero = np.zeros(1, np.uint16)
             events = Events(zero, zero, np.array([ms * MS]), zero.astype(bool))
-            self.pipeline.take_events(ENCODER.events(ms * MS, CAMERA, events))
+            self.pipeline.take_events(ENCODER.events((ms + late_ms) * MS, CAMERA, events))
             self.pipeline.cut_windows()
 
     def imu(self, first_ms: int, last_ms: int) -> None:
@@ -130,7 +131,7 @@ def test_windows_that_wait_are_forgotten_with_their_epoch(monkeypatch) -> None:
     bench = Bench(monkeypatch, use="auto")
     bench.imu(990, 1005)
     bench.events(1000, 1011)
-    bench.events(100, 101)
+    bench.events(100, 106)  # the second message confirms the jump
     bench.imu(1005, 1015)
     assert bench.supervisor.jobs() == []
     assert bench.pipeline.statistics.counts["windows_forgotten"] == 1
@@ -160,6 +161,26 @@ def test_diagnostics_and_status_tell_what_became_of_the_gyro(monkeypatch, use, l
     bench.answer(jobs[1], GyroStatus(GyroState.USED))
     report = bench.pipeline.report()
     assert (report.level, report.values["gyro"]) == (Level.OK, "used")
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "offset_ms", "is_said"),
+    [(400, 0.0, True), (-400, 0.0, True), (20, 0.0, False), (400, -400.0, False)],
+)
+def test_events_that_may_be_on_another_clock_than_the_gyro_are_said(
+    monkeypatch, late_ms: int, offset_ms: float, is_said: bool
+) -> None:
+    bench = Bench(monkeypatch, use="require", time_offset_ms=offset_ms)
+    bench.imu(990, 1045)
+    bench.events(1000, 1041, late_ms=late_ms)
+    report = bench.pipeline.report()
+    expected = (
+        f"gyro: the events are {late_ms / 1e3:.2f} s behind the stamps of their messages: if that "
+        "is their clock and no delay, the gyro is off by as much; evaluate --check-imu finds out, "
+        "imu.time_offset_ms corrects it"
+    )
+    assert (report.message == expected) is is_said
+    assert report.level is (Level.WARN if is_said else Level.OK)
 
 
 def test_a_required_imu_that_is_not_there_is_an_error(monkeypatch) -> None:

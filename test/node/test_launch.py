@@ -22,6 +22,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import NodeOptions, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
+CALIBRATION = ROOT / "config" / "calibration" / "mvsec_indoor_flying.yaml"
 
 type Start = Callable[..., list[Any]]
 
@@ -46,7 +47,6 @@ def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], dict[str, Any]]
             "ExecuteProcess": SimpleNamespace,
             "IncludeLaunchDescription": lambda source: source,
             "OpaqueFunction": lambda function: function,
-            "Shutdown": SimpleNamespace,
         },
         "launch.launch_description_sources": {"PythonLaunchDescriptionSource": Path},
         "launch.substitutions": {"LaunchConfiguration": Argument},
@@ -103,7 +103,7 @@ def test_topics_are_remapped_only_when_they_are_given(start: Start) -> None:
 
 
 def test_arguments_become_parameters_that_the_node_has(start: Start) -> None:
-    [node] = start(speed="2.0", twist_rate="100", frame="cam", calibration_file="c.yaml")
+    [node] = start(speed="2.0", twist_rate="100", frame="cam", calibration_file=str(CALIBRATION))
     given = {name: value for source in node.parameters for name, value in source.items()}
     assert given.pop("use_sim_time") is False
     settings = Settings(NodeOptions(), load_config(given["profile"])).changed(given)
@@ -128,10 +128,10 @@ def test_camera_counts_before_the_parameter_file_and_that_before_the_rest(
 ) -> None:
     own = tmp_path / "my.yaml"
     own.touch()
-    [node] = start(params_file=str(own), calibration_file="c.yaml", frame="cam")
+    [node] = start(params_file=str(own), calibration_file=str(CALIBRATION), frame="cam")
     assert node.parameters[1:] == [
         str(own),
-        {"camera.calibration_file": "c.yaml", "camera.frame_id": "cam"},
+        {"camera.calibration_file": str(CALIBRATION), "camera.frame_id": "cam"},
     ]
 
 
@@ -157,6 +157,7 @@ def test_two_instances_differ_by_their_namespace(start: Start) -> None:
         ("twist_rate", "abc", "'abc' is not a number; give one, as in 10.0"),
         ("speed", "fast", "'fast' is not a number; give one, as in 10.0"),
         ("speed", "nan", "'nan' is not a number; give one, as in 10.0"),
+        ("profile", "fast", "unknown profile 'fast'; use one of paper, paper_dsec, paper_early"),
         (
             "params_file",
             "mvsek",
@@ -173,6 +174,12 @@ def test_bad_argument_starts_nothing(
     assert str(caught.value).startswith(f"{argument}: {line}")
 
 
+@pytest.mark.parametrize("text", ["no.yaml", "file:///no.yaml"])
+def test_calibration_that_cannot_be_read_starts_nothing(start: Start, text: str) -> None:
+    with pytest.raises(InputError, match=r"no\.yaml: no such file or directory; give a calib"):
+        start(calibration_file=text)
+
+
 def test_bag_that_is_not_there_is_refused_before_the_estimator_starts(
     launched: Callable[[str], dict[str, Any]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -187,9 +194,52 @@ def test_bag_that_is_not_there_is_refused_before_the_estimator_starts(
 
 def test_replay_that_fails_ends_the_estimator(replay: Start) -> None:
     [node] = replay()
-    [end] = node.on_exit(SimpleNamespace(returncode=2), None)
-    assert end.reason == "replay ended with 2"
-    assert node.on_exit(SimpleNamespace(returncode=0), None) == []
+    with pytest.raises(InputError, match=r"^replay: ended with exit code 2; what it said last te"):
+        node.on_exit(SimpleNamespace(returncode=2), None)
+    node.on_exit(SimpleNamespace(returncode=0), None)
+
+
+@pytest.mark.parametrize("file", ["estimator.launch.py", "replay.launch.py", "robot.launch.py"])
+def test_estimator_that_fails_ends_its_own_launch_and_no_other(
+    start: Start, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    [node] = start()
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", f"/opt/share/launch/{file}"])
+    node.on_exit(SimpleNamespace(returncode=0), None)
+    if file == "robot.launch.py":
+        node.on_exit(SimpleNamespace(returncode=2), None)
+        return
+    with pytest.raises(InputError, match=r"^estimator: ended with exit code 2; what it said"):
+        node.on_exit(SimpleNamespace(returncode=2), None)
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "nearest"),
+    [
+        ("estimator.launch.py", "evnts", "events"),
+        ("estimator.launch.py", "bag", "rviz"),
+        ("replay.launch.py", "baag", "bag"),
+        ("replay.launch.py", "twistrate", "twist_rate"),
+    ],
+)
+def test_unknown_argument_is_refused_with_the_nearest(
+    launched: Callable[[str], dict[str, Any]],
+    start: Start,
+    monkeypatch: pytest.MonkeyPatch,
+    file: str,
+    name: str,
+    nearest: str,
+) -> None:
+    check = launched("replay.launch.py")["_check"]
+    begin = {"estimator.launch.py": start, "replay.launch.py": lambda: check({"bag": "/"})}[file]
+    known = ["ros2", "launch", "emoflow_ros", file, "events:=/a", "frame:=b"]
+    monkeypatch.setattr(sys, "argv", known)
+    begin()
+    monkeypatch.setattr(sys, "argv", [*known, f"{name}:=/cam"])
+    with pytest.raises(InputError, match=f"^{name}: no such option(, the nearest is {nearest})?;"):
+        begin()
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "my_robot", "all.py", f"{name}:=/cam"])
+    begin()  # it is that file's
 
 
 def test_rviz_is_started_with_the_layout_when_it_is_wanted(

@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+from supervisor_bench import next_outcome
 
 from emoflow_ros.core.bounded_windows import RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
@@ -59,7 +60,7 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
     supervisor.start()
     try:
         for its in expected:
-            result = supervisor.outcomes.get(timeout=60.0)
+            result = next_outcome(supervisor)
             assert isinstance(result, Result), result
             mine = result.estimate
             assert (mine.t_start, mine.t_end, mine.t) == (its.t_start, its.t_end, its.t)
@@ -88,9 +89,9 @@ def test_the_worker_estimates_the_motion_of_now_as_it_is_estimated_without_it() 
     supervisor.start()
     try:
         for _ in windows:
-            assert isinstance(supervisor.outcomes.get(timeout=60.0), Result)
+            assert isinstance(next_outcome(supervisor), Result)
         supervisor.slices.put([slices])
-        found = supervisor.outcomes.get(timeout=60.0)
+        found = next_outcome(supervisor)
         assert isinstance(found, Present), found
         assert found.task is slices
         assert found.found.twist.t == newest.t_end

@@ -8,19 +8,16 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from builtin_interfaces.msg import Time
 from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image
-from visualization_msgs.msg import Marker
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.node.diagnostics import Level, Report, Statistics
-from emoflow_ros.node.outputs import Outputs, to_diagnostics, to_image, to_tracks
+from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.outputs import Outputs
+from emoflow_ros.node.reports import Level
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions, Settings
 from emoflow_ros.node.tasks import Picture, Present, Result, Task
 from emoflow_ros.node.twist_output import to_header
@@ -83,37 +80,9 @@ def vector(v: Any) -> list[float]:
     return [v.x, v.y, v.z]
 
 
-def test_only_what_somebody_subscribes_to_is_wished_for(bench: Callable[..., Bench]) -> None:
-    b = bench(
-        output__tracks=7,
-        output__flow_color_max=3.0,
-        output__flow_stride=4,
-    )
-    assert b.outputs.wishes.pictures == ()
-    for picture in Picture:
-        b.node.publishers[picture].subscribers = 1
-        assert b.outputs.wishes.pictures == (picture,)
-        b.node.publishers[picture].subscribers = 0
-    wishes = b.outputs.wishes
-    assert (wishes.tracks, wishes.flow_color_max) == (7, 3.0)
-    assert wishes.flow_stride == 4
-
-
-def test_tracks_are_a_marker_in_front_of_the_camera(bench: Callable[..., Bench]) -> None:
-    b = bench()
-    lines = np.float32([[[0, 0.5, 1, 0], [0.25, 0.5, 1, 0.5]], [[-1, 0, 1, 0.5], [-1, 0.5, 1, 1]]])
-    b.publish(pictures={Picture.TRACKS: lines})
-    [marker] = b.node.messages("flow/tracks")
-    assert (marker.type, marker.action, marker.ns) == (marker.LINE_LIST, marker.ADD, "tracks")
-    assert marker.header.frame_id == "optical"
-    assert (marker.header.stamp.sec, marker.header.stamp.nanosec) == (1, 5 * MS)
-    assert [vector(p) for p in marker.points] == lines.reshape(4, 4)[:, :3].tolist()
-    assert [c.a for c in marker.colors] == [0.0, 0.5, 0.5, 1.0]
-    assert (marker.pose.orientation.w, marker.frame_locked) == (1.0, True)
-
-
 def test_twists_are_in_the_target_frame_and_pictures_are_not(bench: Callable[..., Bench]) -> None:
-    b = bench(**{name.replace(".", "__"): value for name, value in BODY.items()})
+    body = {name.replace(".", "__"): value for name, value in BODY.items()}
+    b = bench(**body, output__linear_covariance="rep145")
     covariance = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     b.publish(covariance=covariance, pictures={Picture.FLOW: np.zeros((6, 8, 2), np.float32)})
     for topic in ("twist", "twist_with_covariance"):
@@ -133,6 +102,7 @@ def test_unobservable_translation_stays_marked_when_scaled_and_rotated(
     b = bench(
         scale__source="parameter",
         scale__speed=3.0,
+        output__linear_covariance="rep145",
         **{name.replace(".", "__"): value for name, value in BODY.items()},
     )
     covariance = np.diag([-1.0, 0.0, 0.0, 4.0, 5.0, 6.0])
@@ -142,6 +112,23 @@ def test_unobservable_translation_stays_marked_when_scaled_and_rotated(
     found = np.reshape(message.twist.covariance, (6, 6))
     np.testing.assert_allclose(found, np.diag([-1.0, 0, 0, 6.0, 4.0, 5.0]), atol=1e-12)
     assert b.status()[1] == "ok, translation not observable"
+
+
+def test_covariance_is_wide_along_a_direction_without_a_scale(bench: Callable[..., Bench]) -> None:
+    b = bench(**{name.replace(".", "__"): value for name, value in BODY.items()})
+    for scale in ("none", "parameter"):
+        b.outputs.set_scale(ScaleOptions(source=scale, speed=2.0))
+        b.publish(1000 if scale == "none" else 1010, covariance=np.diag([1.0, 2, 3, 4, 5, 6]))
+        twist = b.last("twist_with_covariance").twist
+        found = np.reshape(twist.covariance, (6, 6))[:3, :3]
+        travel = np.array(vector(twist.twist.linear))
+        if scale == "none":
+            np.testing.assert_allclose(travel @ found @ travel, 1e6, rtol=1e-5)
+            found -= 1e6 * np.outer(travel, travel)
+        np.testing.assert_allclose(found, np.diag([3.0, 1, 2]) * (travel @ travel), atol=1e-8)
+    b.publish(1020, covariance=np.diag([-1.0, 0, 0, 4, 5, 6]), linear=np.zeros(3))
+    found = np.reshape(b.last("twist_with_covariance").twist.covariance, (6, 6))
+    np.testing.assert_allclose(found, np.diag([1e6, 1e6, 1e6, 6, 4, 5]), atol=1e-8)
 
 
 def test_status_tells_the_scale_that_was_applied(bench: Callable[..., Bench]) -> None:
@@ -226,34 +213,21 @@ def test_twists_are_withheld_without_a_transform(
     assert tf.listening == 0
 
 
-def test_flow_image_survives_serialisation() -> None:
-    flow = np.arange(24, dtype=np.float32).reshape(3, 4, 2)
-    flow[1, 2] = np.nan
-    message = to_image(flow, "32FC2", HEADER)
-    message = deserialize_message(serialize_message(message), Image)
-    assert (message.encoding, message.height, message.width) == ("32FC2", 3, 4)
-    assert message.step == 4 * 2 * 4
-    back = np.frombuffer(message.data, "<f4").reshape(3, 4, 2)
-    np.testing.assert_array_equal(back, flow)
-
-
-def test_track_marker_survives_serialisation() -> None:
-    lines = np.float32([[[0.1, -0.2, 1.0, 0.25], [0.3, -0.2, 1.0, 0.75]]])
-    message = to_tracks(lines, HEADER)
-    message = deserialize_message(serialize_message(message), Marker)
-    assert (message.type, message.id, message.header) == (Marker.LINE_LIST, 0, HEADER)
-    points = [(p.x, p.y, p.z) for p in message.points]
-    np.testing.assert_array_equal(np.float32(points), lines[0, :, :3])
-    assert [c.a for c in message.colors] == [0.25, 0.75]
-    assert len({(c.r, c.g, c.b) for c in message.colors}) == 1
-    assert message.lifetime.sec == 2
-    assert to_tracks(np.empty((0, 2, 4), np.float32), HEADER).points == []
-
-
-def test_diagnostics_hold_level_reason_and_numbers() -> None:
-    report = Report(Level.WARN, "late", {"windows_ok": "3"})
-    message = to_diagnostics("/ns/estimator", report, Time(sec=3))
-    [status] = message.status
-    assert (status.level, status.message) == (b"\x01", "late")
-    assert [(v.key, v.value) for v in status.values] == [("windows_ok", "3")]
-    assert message.header.stamp.sec == 3
+def test_only_twists_that_are_published_count_as_given(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tf = install_fake_tf(monkeypatch)
+    b = bench(present=True, output__target_frame="base")
+    given: list[str] = []
+    monkeypatch.setattr(b.statistics.stream, "give", lambda: given.append("twist"))
+    b.publish()  # without a transform
+    b.outputs.publish_present(present(100))
+    assert given == []
+    tf.known = True
+    b.publish(1010, status=Status.UNCERTAIN)
+    assert given == []
+    for t_ms in (120, 110):  # the second one is not the newest
+        b.outputs.publish_present(present(t_ms))
+    assert given == ["twist"]
+    b.publish(1020)
+    assert given == ["twist"] * 2

@@ -3,33 +3,22 @@ from typing import Any
 
 import pytest
 
-rclpy = pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from ros_nodes import ros_context  # noqa: E402
+from parameter_bench import Atomic, declare, parameter_nodes
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
 
-from emoflow_ros.core.config import Config, load_config  # noqa: E402
-from emoflow_ros.errors import InputError  # noqa: E402
-from emoflow_ros.node.parameters import Change, NodeParameters, changes  # noqa: E402
-from emoflow_ros.node.settings import NodeOptions, Settings, table  # noqa: E402
+from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.errors import InputError
+from emoflow_ros.node.parameters import Change, changes
+from emoflow_ros.node.settings import NodeOptions, Settings, table
 
 
 @pytest.fixture
 def make_node() -> Iterator[Callable[..., Any]]:
-    with ros_context() as context:
-
-        def make(**overrides: Any) -> Any:
-            given = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
-            return rclpy.create_node("p", context=context, parameter_overrides=given)
-
+    with parameter_nodes() as make:
         yield make
-
-
-def declare(node: Any, configured: bool = True) -> tuple[NodeParameters, list[Settings]]:
-    changes: list[Settings] = []
-    parameters = NodeParameters(node, is_configured=lambda: configured, on_change=changes.append)
-    return parameters, changes
 
 
 def test_every_option_is_declared_with_its_value_and_range(make_node: Callable[..., Any]) -> None:
@@ -161,7 +150,7 @@ def test_what_the_node_connects_to_is_not_dynamic(name: str, when: Change) -> No
         ("camera.calibration", "camera.calibration_file", "camera.calibration_file, camera.frame"),
         ("input.queue_window", "input.queue_windows", "input.type, input.timestamps"),
         ("output.twistrate", "output.twist_rate", "output.timeout_s, output.diagnostics_s"),
-        ("speed", "scale.speed", "autostart, on_missing_device, input.type"),
+        ("speed", "scale.speed", "autostart, on_missing_device, worker_nice, input"),
     ],
 )
 def test_unknown_name_is_refused_with_the_nearest_and_those_beside_it(
@@ -174,21 +163,6 @@ def test_unknown_name_is_refused_with_the_nearest_and_those_beside_it(
     assert line.startswith(expected)
     if "." in name:
         assert "window." not in line
-
-
-class Atomic:
-    """A node whose parameters are set as EstimatorNode does."""
-
-    def __init__(self, node: Any, configured: bool) -> None:
-        self.node = node
-        self.parameters, self.changes = declare(node, configured)
-
-    def set(self, *parameters: Parameter) -> Any:
-        return self.parameters.set_atomically(list(parameters), self.node.set_parameters_atomically)
-
-    def dump(self) -> list[Parameter]:
-        names = self.node.list_parameters([], 0).names
-        return [self.node.get_parameter(name) for name in names]
 
 
 @pytest.mark.parametrize("configured", [True, False])

@@ -11,8 +11,8 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.products import flow_to_rgb
+from emoflow_ros.node.painter import Painter
 from emoflow_ros.node.tasks import Picture, Wishes
-from emoflow_ros.node.worker import Painter
 
 CAMERA = Camera(64, 48, 50.0, 40.0, 32.0, 24.0)
 MS = 1_000_000

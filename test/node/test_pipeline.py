@@ -12,11 +12,10 @@ from pipeline_bench import CAMERA, LEFT, MS, PipelineBench
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.diagnostics import Level
 from emoflow_ros.node.event_source import to_camera
-from emoflow_ros.node.tasks import Job, Loss
+from emoflow_ros.node.reports import Level
+from emoflow_ros.node.tasks import Job, Loss, Progress
 from emoflow_ros.node.topic_search import EventTopic
 
 FINER = replace(CAMERA, fx=60.0)
@@ -63,6 +62,16 @@ def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: Pip
     assert bench.said[1:] == ["dropped: the worker died (signal 9); it is started again"]
     report = bench.pipeline.report()
     assert report.message == "2 windows dropped: the worker died (signal 9); it is started again"
+
+
+def test_start_of_the_worker_is_said_at_once_and_its_progress_as_it_comes(
+    bench: PipelineBench,
+) -> None:
+    bench.pipeline.start()
+    assert bench.node.log[-1] == ("info", "the worker is starting")
+    bench.supervisor.outcomes.put(Progress("the estimator is compiled: 7 functions in 5 s"))
+    bench.pipeline.take_outcomes()
+    assert bench.node.log[-1] == ("info", "the estimator is compiled: 7 functions in 5 s")
 
 
 def test_windows_carry_what_holds_when_they_are_handed_over(bench: PipelineBench) -> None:
@@ -148,16 +157,18 @@ def test_result_that_nobody_was_woken_for_is_published_with_the_next_report(
     assert len(bench.node.messages("egomotion/twist")) == 1
 
 
-def test_windows_with_too_few_events_are_not_running(bench: PipelineBench) -> None:
-    bench.calibrate()
-    bench.play(1000, 1021)
-    for job in bench.supervisor.jobs():
-        answer = bench.answer(job)
-        estimate = replace(answer.estimate, status=Status.TOO_FEW_EVENTS)
-        bench.supervisor.outcomes.put(replace(answer, estimate=estimate))
-    report = bench.pipeline.report()
-    assert report.level is Level.WARN
-    assert report.message.startswith("2 windows with too few events, and none with enough")
+def test_twists_may_be_as_far_apart_as_windows_are(
+    bench: PipelineBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits: list[float] = []
+    monkeypatch.setattr(
+        bench.pipeline.statistics, "report", lambda *_, twist_s: limits.append(twist_s)
+    )
+    bench.pipeline.report()
+    longer = {"window.duration_ms": 2000.0, "window.stride_ms": 1000.0}
+    bench.pipeline.set_settings(bench.settings.changed(longer))
+    bench.pipeline.report()
+    assert limits == [1.0, 3.0]
 
 
 def test_no_more_events_are_dropped_than_came(bench: PipelineBench) -> None:

@@ -17,7 +17,7 @@ REMAP = "not of the form FROM:=TO with two ROS names; write -r FROM:=TO, as in -
 def refusal(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> str:
     monkeypatch.setattr(sys, "argv", ["estimator", "--ros-args", *arguments])
     with pytest.raises(InputError) as caught:
-        own_arguments()
+        own_arguments("estimator")
     line = str(caught.value)
     assert "\n" not in line
     assert ".c:" not in line  # no places in the source of rcl
@@ -27,7 +27,7 @@ def refusal(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> str:
 def test_own_arguments_are_those_before_the_ones_for_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     given = ["replay", "bag", "--wait", "--ros-args", "-r", "a:=b", "--", "--clock"]
     monkeypatch.setattr(sys, "argv", given)
-    assert own_arguments() == ["bag", "--wait", "--clock"]
+    assert own_arguments("estimator") == ["bag", "--wait", "--clock"]
 
 
 @pytest.mark.parametrize(
@@ -72,3 +72,45 @@ def test_only_the_known_errors_are_the_users() -> None:
         raise RuntimeError("a bug")
     with pytest.raises(KeyError), refused_values():
         raise KeyError("a bug")
+
+
+@pytest.mark.parametrize("text", ["", "# only a comment\n", "estimator:\n  ros__parameters: {}\n"])
+def test_file_that_holds_no_parameters_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str
+) -> None:
+    """rcl takes it without a word."""
+    path = tmp_path / "empty.yaml"
+    path.write_text(text)
+    line = refusal(monkeypatch, "--params-file", str(path))
+    assert line == f"--params-file {path}: holds no parameters; {FILE_FIX}"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "others"),
+    [
+        ("/estimator:", ""),
+        ("estimator:", ""),
+        ("/**:", ""),
+        ("/left/estimator:", ""),
+        ("left:\n  estimator:", ""),
+        ("/estimator_node:", "/estimator_node"),
+        ("left:\n  camera:", "/left/camera"),
+    ],
+)
+def test_file_for_other_nodes_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    nodes: str,
+    others: str,
+) -> None:
+    path = tmp_path / "my.yaml"
+    path.write_text(f"{nodes}\n    ros__parameters:\n      use_sim_time: true\n")
+    given = ["estimator", "--ros-args", "--params-file", str(path)]
+    monkeypatch.setattr(sys, "argv", given)
+    assert own_arguments("estimator") == []
+    line = f"warning: --params-file {path}: holds nothing for a node called estimator, only for "
+    assert capsys.readouterr().err == (f"{line}{others}\n" if others else "")
+    monkeypatch.setattr(sys, "argv", [*given, "-r", "__node:=estimator_node"])
+    own_arguments("estimator")
+    assert bool(capsys.readouterr().err) is (others != "/estimator_node" and nodes != "/**:")

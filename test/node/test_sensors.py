@@ -12,8 +12,9 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.config import load_config
 from emoflow_ros.errors import InputError
-from emoflow_ros.node import settings as module
-from emoflow_ros.node.settings import NodeOptions, Settings, calibration_path
+from emoflow_ros.node import calibration_url as module
+from emoflow_ros.node.calibration_url import calibration_path
+from emoflow_ros.node.settings import NodeOptions, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 SENSORS = ("mvsec", "dsec", "davis240", "evk4")

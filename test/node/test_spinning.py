@@ -3,15 +3,18 @@
 import gc
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_nodes import ros_context
 
+from emoflow_ros.node import estimator_node
 from emoflow_ros.node.estimator_node import spin_until_asked
 
 CALLBACKS = 500
@@ -63,3 +66,21 @@ def test_the_end_is_asked_for_while_nothing_happens_and_may_be_once_more(node: N
 
 def test_an_end_that_was_asked_for_before_comes_at_once(node: Node) -> None:
     spin_until_asked(node, lambda ask: ask())
+
+
+def test_destructor_of_the_executor_has_nothing_left_to_do(
+    node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The garbage collector may destroy what the executor holds before it: an exception then."""
+    made: list[Any] = []
+
+    class Kept(SingleThreadedExecutor):
+        def __init__(self, **kwargs: Any) -> None:
+            super().__init__(**kwargs)
+            made.append((self, self._sigint_gc))
+
+    monkeypatch.setattr(estimator_node, "SingleThreadedExecutor", Kept)
+    spin_until_asked(node, lambda ask: ask())
+    [(executor, guard)] = made
+    guard.__del__()
+    executor.__del__()

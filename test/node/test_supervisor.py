@@ -1,15 +1,19 @@
 import os
 import queue
+import re
 import signal
 import time
 from collections.abc import Callable
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
-from supervisor_bench import CAMERA, Bench
+from supervisor_bench import CAMERA, WAIT_S, Bench
 
+from emoflow_ros import compiled_code
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import MotionModel, Status
 from emoflow_ros.core.products import flow_to_rgb
@@ -69,6 +73,19 @@ def test_worker_that_had_to_compile_is_replaced_once(
         assert len(started) == count
         assert b.supervisor.pid == started[-1]
         assert factory == "Recorder" or answered == started[-1]
+
+
+def test_start_that_compiles_is_said_at_once_and_at_its_end(bench: Callable[..., Bench]) -> None:
+    b = bench("Compiler")
+    first, last = b.progress()[:2]  # the worker that replaces this one compiles, too
+    assert first == (
+        "the estimator is compiled, as at the first start on a machine: it takes about a minute, "
+        f"and is kept in {compiled_code.folder()}"
+    )
+    wanted = r"the estimator is compiled now: \d+ functions in \d+ s"
+    assert re.fullmatch(wanted, last)
+    assert b.supervisor.obstacle == ""
+    assert bench("Recorder").progress() == []
 
 
 def test_new_epoch_starts_cold(bench: Callable[..., Bench]) -> None:
@@ -137,6 +154,34 @@ def test_exception_costs_the_window_but_not_the_worker(bench: Callable[..., Benc
     assert b.supervisor.pid == first
 
 
+def test_worker_tells_its_processor_time_and_for_how_long_it_is_busy(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench("Slow")  # sleeps for 50 ms
+    b.put()
+    result = b.result()
+    assert result.wall_s > 0.05
+    assert 0 <= result.processor_s < result.wall_s - 0.04
+    b = bench("Busy")
+    assert b.supervisor.busy_s == 0.0
+    b.put()
+    deadline = time.monotonic() + WAIT_S
+    while b.supervisor.busy_s < 0.2:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("nice", [0, 7])
+def test_worker_has_the_priority_of_the_node_or_a_lower_one(nice: int) -> None:
+    worker = WorkerProcess(get_context("forkserver"), "fake_estimators:Recorder", 10.0, nice)
+    try:
+        worker.request({"kind": "warm_up"}, {}, WAIT_S)
+        assert worker.pid is not None
+        assert psutil.Process(worker.pid).nice() == psutil.Process().nice() + nice
+    finally:
+        worker.end()
+
+
 def test_stop_ends_a_busy_worker_at_once(bench: Callable[..., Bench]) -> None:
     b = bench("Busy")
     pid = b.supervisor.pid
@@ -166,5 +211,18 @@ def test_worker_that_cannot_start_is_tried_again() -> None:
             assert loss.worker
             assert "exit code 1" in loss.reason
         assert not b.supervisor.ready.is_set()
+    finally:
+        b.supervisor.stop()
+
+
+def test_compiled_code_that_cannot_be_written_is_said_with_its_folder_and_what_to_do() -> None:
+    b = Bench("FullDisk")
+    b.supervisor.start()
+    try:
+        assert b.loss().reason == (
+            "the worker cannot be started: compiled code: it cannot be kept in "
+            f"{compiled_code.folder()} (no space left on device); make room there, or set "
+            "NUMBA_CACHE_DIR to a folder that can be written and has 32 MiB; it is started again"
+        )
     finally:
         b.supervisor.stop()

@@ -14,6 +14,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.events import Events, WindowPolicy
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.tasks import Task
@@ -178,3 +179,55 @@ def test_sensor_clock_that_was_set_from_the_host_once_is_followed() -> None:
     assert tasks[0].time_offset == pytest.approx(0, abs=0.01 * MS)
     assert tasks[-1].time_offset == pytest.approx(6 * MS, abs=0.6 * MS)
     assert stream.statistics.clock_drift_ppm == pytest.approx(100, abs=1)
+
+
+@pytest.mark.parametrize("wrong_ms", [-50 * S, 500 * S])
+def test_one_wrong_stamp_is_no_jump_and_costs_no_event(stream: Stream, wrong_ms: int) -> None:
+    tasks = stream.play(60 * S, 60 * S + 20)
+    tasks += stream.play(60 * S + 20, 60 * S + 25, ahead_ms=wrong_ms)
+    tasks += stream.play(60 * S + 25, 60 * S + 50)
+    assert stamps_ms(tasks) == [60_005, 60_015, 60_025, 60_035]
+    assert [len(task.window.events) for task in tasks] == [10] * 4
+    assert stream.input.epoch == 0
+    counts = stream.statistics.counts
+    assert (counts["time_jumps"], counts["wrong_stamps"]) == (0, 1)
+    assert stream.warnings == ["the stamp of a message is not used: it is far from those around it"]
+
+
+def test_two_wrong_stamps_that_disagree_are_no_jump(stream: Stream) -> None:
+    tasks = stream.play(60 * S, 60 * S + 20)
+    for k, wrong_ms in enumerate((-50 * S, 500 * S)):
+        t = 60 * S + 20 + 5 * k
+        tasks += stream.play(t, t + 5, ahead_ms=wrong_ms)
+    tasks += stream.play(60 * S + 30, 60 * S + 50)
+    assert stamps_ms(tasks) == [60_005, 60_015, 60_025, 60_035]
+    assert stream.statistics.counts["wrong_stamps"] == 2
+    assert stream.input.epoch == 0
+
+
+def test_late_message_of_before_a_jump_does_not_start_an_epoch(stream: Stream) -> None:
+    stream.play(60 * S, 60 * S + 20)
+    stream.play(5 * S, 5 * S + 20)
+    stream.play(60 * S + 20, 60 * S + 25)  # of the round before
+    stream.play(5 * S + 20, 5 * S + 50)
+    assert stream.statistics.counts["time_jumps"] == 1
+    assert stream.input.epoch == 1
+
+
+def test_message_that_waits_for_the_next_one_is_counted_when_both_are_left_out(
+    stream: Stream,
+) -> None:
+    stream.play(60 * S, 60 * S + 20)
+    stream.play(5 * S, 5 * S + 5)
+    stream.input.skip(LeftOut(3, -55 * S * MS))
+    assert stream.statistics.counts["messages_skipped"] == 1
+    assert stamps_ms(stream.play(5 * S + 20, 5 * S + 45)) == [5025, 5035]
+    assert stream.input.epoch == 1
+
+
+def test_malformed_message_with_a_stamp_by_chance_is_counted_at_once(stream: Stream) -> None:
+    stream.play(60 * S, 60 * S + 20)
+    stream.input.take(b"\x00\x01\x00\x00" + bytes(range(40)))
+    assert stream.statistics.counts["malformed_messages"] == 1
+    assert stamps_ms(stream.play(60 * S + 20, 60 * S + 45)) == [60_015, 60_025, 60_035]
+    assert stream.input.epoch == 0

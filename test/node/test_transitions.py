@@ -18,6 +18,7 @@ from ros_nodes import ros_context
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import estimator_node, event_source, outputs, pipeline, transitions
 from emoflow_ros.node.estimator_node import EstimatorNode
+from emoflow_ros.node.supervisor import STARTING
 from emoflow_ros.node.tasks import DropOldestQueue
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -44,7 +45,10 @@ class Bench:
     def error(self, line: str, **kwargs: Any) -> None:
         self.log.append(line)
 
-    info = warning = error
+    warning = error
+
+    def info(self, line: str, **kwargs: Any) -> None:
+        assert line == STARTING
 
     @property
     def state(self) -> str:
@@ -118,9 +122,7 @@ CONFIGURING: dict[str, Break] = {
     "supervisor": replaced(pipeline, "Supervisor"),
     "twists": replaced(outputs, "TwistOutput"),
     "scale": replaced(outputs, "Scale"),
-    **{f"topic {n}": of_node("create_lifecycle_publisher", n) for n in range(1, 8)},
-    "diagnostics": of_node("create_publisher"),
-    "timer": of_node("create_timer"),
+    **{f"topic {n}": of_node("create_lifecycle_publisher", n) for n in range(1, 9)},
     "thread": replaced(FakeSupervisor, "start"),
 }
 ACTIVATING: dict[str, Break] = {
@@ -137,8 +139,6 @@ PAUSING: dict[str, Break] = {
 RELEASING: dict[str, Break] = {
     "scale": replaced(outputs.Scale, "close"),
     "topic": of_node("destroy_lifecycle_publisher", 3),
-    "diagnostics": of_node("destroy_publisher"),
-    "timer": of_node("destroy_timer"),
     "thread": replaced(FakeSupervisor, "stop"),
 }
 

@@ -21,15 +21,9 @@ from ros_nodes import ros_context
 from std_msgs.msg import Float64, String
 
 from emoflow_ros.core.estimate import Twist
+from emoflow_ros.node.scale import Scale, Scaling, to_speed
 from emoflow_ros.node.settings import ScaleOptions
-from emoflow_ros.node.twist_output import (
-    Scale,
-    Scaling,
-    make_publisher,
-    to_header,
-    to_speed,
-    to_twist_with_covariance,
-)
+from emoflow_ros.node.twist_output import make_publisher, to_header, to_twist_with_covariance
 
 NS = 1_000_000_000
 WAIT_S = 10.0
@@ -129,7 +123,7 @@ def test_speed_of_a_message_without_a_stamp_has_no_time() -> None:
 
 def test_scale_from_parameters_needs_no_topic() -> None:
     scale = Scale(None, ScaleOptions())
-    assert scale.at(5) == Scaling(1.0, "none")
+    assert scale.at(5) == Scaling(None, "none")
     scale.set_options(ScaleOptions(source="parameter", speed=2.5))
     assert scale.at(5) == Scaling(2.5, "parameter")
 
@@ -147,7 +141,7 @@ def test_speed_is_the_length_of_the_velocity_at_the_stamp(
     assert scale.at(100 * NS) == Scaling(7.0, "topic")
     assert scale.at(100 * NS + NS // 2) == Scaling(7.0, "topic")
     stale = scale.at(101 * NS)
-    assert (stale.factor, stale.source) == (1.0, "none")
+    assert (stale.speed, stale.source) == (None, "none")
     assert (
         stale.problem == "no speed on speed within 0.5 s of the window; linear is a unit direction"
     )

@@ -3,9 +3,10 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -14,7 +15,7 @@ NODE = 12  # unknowns of a node: rotation, position, angular velocity, velocity
 POSE = 6  # the first of them, which observations depend on
 _NEAREST = 1e-3  # least depth over that of the anchor
 
-_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
 class Observations(NamedTuple):

@@ -2,16 +2,17 @@
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
-_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
 @_compiled

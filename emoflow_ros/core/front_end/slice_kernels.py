@@ -1,14 +1,14 @@
 """Compiled loops that draw slices."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.smoothing import Taps, smooth
 
 F32 = NDArray[np.float32]
 
-_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
 @_compiled
