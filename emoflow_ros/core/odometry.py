@@ -184,13 +184,14 @@ class Odometry:
         depth = np.where(np.isfinite(some.inverse_depth), some.inverse_depth, 1.0)
         begin = x._replace(inverse_depth=depth)
         others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
-        found = best(problem, begin, known, others, back)
+        full = len(state.t) == back.slices and state.adjusted is not None
+        found = best(problem, begin, known, others, back, full=full)
         if found is None:
             return self.start()
         costs = state.costs
         turned = rotating(problem, found, known, back)
         if turned is not None and turned[1] < 0:  # travel includes it: the search went astray
-            found = best(problem, turned[0].x, known, [found.x], back) or found
+            found = best(problem, turned[0].x, known, [found.x], back, full=False) or found
         if turned is not None:
             costs = (*costs, turned[1])[-back.rotation_slices :]
             if np.mean(costs) < back.rotation_cost:

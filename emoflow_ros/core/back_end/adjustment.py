@@ -64,14 +64,17 @@ class Adjusted:
         inverse = cho_solve(factor, np.diag(scale), check_finite=False)
         return np.asarray(scale[:, None] * inverse)
 
+    def mean_cost(self, settings: BackEndSettings) -> float:
+        """Robust cost of an observation on average, over what it is where all is right."""
+        squares = self.squares / (1 + self.squares / settings.outlier**2)
+        return 0.5 * float(squares.mean()) / settings.expected_cost
+
     def variance_factor(self, settings: BackEndSettings) -> float:
-        """By how much errors exceed the covariance: squares of the observations' mean cost.
+        """By how much squared errors exceed the covariance.
 
         Where many places do not fit, they are wrong together, which robust weights do not know.
         """
-        squares = self.squares / (1 + self.squares / settings.outlier**2)
-        cost = 0.5 * float(squares.mean()) / settings.expected_cost
-        return max(cost, settings.least_cost) ** 2
+        return max(self.mean_cost(settings), settings.least_cost) ** 2
 
 
 def adjust(

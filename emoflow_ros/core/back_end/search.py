@@ -1,6 +1,7 @@
 """Where the adjustment starts from, and whether the camera travels or only rotates."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +20,37 @@ _TRIED_AT = (4, 6, 8)  # numbers of nodes at which directions of travel are trie
 
 def best(
     problem: Observations, start: Unknowns, prior: Prior, others: list[Unknowns],
-    settings: BackEndSettings,
+    settings: BackEndSettings, *, full: bool,
 ) -> Adjusted | None:  # fmt: skip
-    """Adjust from a start and from others, and take the least cost; None if all diverge."""
-    found = None
-    steps = settings.first_steps if others else settings.steps
-    for x in (start, *others):
-        try:
-            made = adjust(problem, x, prior, settings.outlier, steps, settings.depths)
-        except np.linalg.LinAlgError:
-            continue
-        if found is None or made.cost < found.cost:
+    """Adjust from a start, and from others if it fits badly; take the least cost.
+
+    Args:
+        problem: the places of patches.
+        start: goes on from the last adjustment.
+        prior: of the motion.
+        others: that may be better.
+        settings: of the back end.
+        full: whether the memory is full: while it fills, all starts are tried.
+
+    Returns:
+        None if all diverge.
+    """
+    found = _adjusted(problem, start, prior, settings.steps, settings)
+    if full and found is not None and found.mean_cost(settings) < settings.doubtful_cost:
+        return found
+    for x in others:
+        made = _adjusted(problem, x, prior, settings.first_steps, settings)
+        if made is not None and (found is None or made.cost < found.cost):
             found = made
     return found
+
+
+def _adjusted(
+    problem: Observations, x: Unknowns, prior: Prior, steps: int, settings: BackEndSettings
+) -> Adjusted | None:
+    with suppress(np.linalg.LinAlgError):
+        return adjust(problem, x, prior, settings.outlier, steps, settings.depths)
+    return None
 
 
 def starts(

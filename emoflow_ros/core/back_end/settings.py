@@ -31,6 +31,7 @@ class BackEndSettings:
         directions: of travel that are tried while the memory fills.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
+        doubtful_cost: over that: from there on other starts are tried.
         least_cost: over that: fewer errors than expected are not believed.
         disagreement: share of the squared difference to the lattice's angular velocity that is
             added to the covariance.
@@ -57,10 +58,11 @@ class BackEndSettings:
     directions: int = 18
     start_speed: float = 0.3
     expected_cost: float = 0.25
+    doubtful_cost: float = 1.4
     least_cost: float = 0.5
     disagreement: float = 0.2
     widest_direction_deg: float = 60.0
-    steps: int = 10
+    steps: int = 8
     first_steps: int = 12
     rotation_steps: int = 6
 
