@@ -1,5 +1,6 @@
 """The folder in which numba keeps the package's compiled code from one start to the next.
 
+Below it each version of the sources has a folder of its own; see `core.jit`.
 Numba is not imported here: the choice must be made before.
 """
 

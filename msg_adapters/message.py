@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 
 type Bytes = bytes | bytearray | memoryview | NDArray[np.uint8]
 
@@ -139,7 +140,7 @@ def first_part(events: Events, part: int) -> Events:
     return events if part == 1 else events[: -(-len(events) // part)]
 
 
-@njit(types.boolean(_COORDINATES, _COORDINATES, types.int64, types.int64), cache=True, nogil=True)
+@njit(types.boolean(_COORDINATES, _COORDINATES, types.int64, types.int64), nogil=True)
 def _any_outside(x, y, width, height):  # type: ignore[no-untyped-def]
     """Whether any of the coordinates x, y (N,) uint16 lies outside width x height pixels."""
     x_max = y_max = np.uint16(0)

@@ -4,20 +4,20 @@ A kernel is the compiled decoder of a stateful encoding. It takes the words of a
 carried between packets and columns that are long enough by construction. It returns how many
 events it wrote, the triggers and time wraps that it saw, and the words or events that it skipped.
 
-Signatures are explicit, so that importing a kernel compiles it (or loads it from numba's cache)
-and no message waits for a compiler. That cache does not notice changes of the functions that a
-kernel calls: after a change here, delete the kernels' .nbi files.
+Signatures are explicit, so that importing a kernel compiles it (or loads it from disk) and no
+message waits for a compiler.
 """
 
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.core.typing.templates import Signature
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 from msg_adapters.message import Statistics
 
 # np.empty takes longer over a type than over its dtype.

@@ -108,7 +108,5 @@ if ! runs_wanted_python "$VENV/bin/python" || [ ! -x "$VENV/bin/pip" ]; then
 fi
 install_requirements
 rm -rf build install
-# numba does not notice changes in functions that another file's kernel calls.
-find emoflow_ros msg_adapters -name '*.nb[ic]' -delete
 build_package
 echo "$(digest) $PARTS" >"$stamp"

@@ -2,9 +2,10 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -16,7 +17,7 @@ PAIR = (_NODES[:, None] + _NODES) @ (9, 3, 1)
 PAIRS_OF_NODES = 27
 _TIMES_EACH = np.bincount(PAIR.ravel())  # how many pairs of nodes have each product
 
-_compiled = numba.njit(cache=True, nogil=True)
+_compiled = njit(nogil=True)
 
 
 class Cells(NamedTuple):

@@ -7,10 +7,10 @@ pixels.
 
 from functools import partial
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.normal_equations import add_rows
 
 F64 = NDArray[np.float64]
@@ -18,14 +18,11 @@ F64 = NDArray[np.float64]
 _STRUCTURE_INLIER_PX = 1.0
 
 # Sums may be taken in any order, so that they become vector instructions.
-_compiler = partial(
-    numba.njit, cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True
-)
+_compiler = partial(njit, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 _compiled = _compiler()
 # These become part of each function that calls them. As functions of their own they would come as
 # several copies, and which one is used would depend on what a process loads first (see
-# `contrast._load_kernels`). Numba's cache does not notice changes of `add_rows`, which is in
-# another file: after one, delete the .nbi files of this one.
+# `contrast._load_kernels`).
 _inlined = _compiler(inline="always")
 
 

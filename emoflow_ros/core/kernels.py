@@ -5,10 +5,10 @@ Whole steps are one compiled call, because each call waits for the interpreter's
 thread has it.
 """
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.lattice_kernels import material_derivative
 from emoflow_ros.core.smoothing import Taps, smooth
 from emoflow_ros.core.window_events import CellEvents
@@ -19,8 +19,8 @@ I32 = NDArray[np.int32]
 MARGIN = 7  # image pixels around the sensor, for warped events that leave it
 
 # Sums may be taken in any order, but NaN and infinity stay what they are: outside the image.
-fast = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
-whole = numba.njit(cache=True, nogil=True)  # for functions that only call such kernels
+fast = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+whole = njit(nogil=True)  # for functions that only call such kernels
 
 
 @whole
@@ -181,7 +181,7 @@ def vote(position: F32, weights: F32, part: I32, zoom: float, images: F32) -> No
             pixels[at + down + right] += below * fx
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def without_own(images: F32) -> None:
     """Replace each of the images (parts, h, w) by the sum of the others, in place."""
     parts, h, w = images.shape

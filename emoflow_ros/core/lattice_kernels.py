@@ -1,14 +1,15 @@
 """Inner loops of the lattice in numba: its field between the nodes, along its own motion."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def advance(
     flow: F32, points: NDArray[np.float64], start: float, end: float, steps: int, per_px: F32
 ) -> NDArray[np.float64]:
@@ -28,7 +29,7 @@ def advance(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _step(still: F32, per_px: F32, x: F32, y: F32, at: F32, begin: F32, h: float, out: F32) -> None:
     """Take one step of points: out = begin + h times the field at (x, y) + at.
 
@@ -64,7 +65,7 @@ def _step(still: F32, per_px: F32, x: F32, y: F32, at: F32, begin: F32, h: float
             out[d, i] = begin[d, i] + share * step
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def at_time(flow: F32, s: float) -> F32:
     """Interpolate a field in time; see `Lattice.at_time`."""
     last = flow.shape[2] - 1
@@ -73,7 +74,7 @@ def at_time(flow: F32, s: float) -> F32:
     return flow[:, :, q] + np.float32(at - q) * (flow[:, :, q + 1] - flow[:, :, q])
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def bilinear(grid: F64, points: F64, per_px: F32) -> F64:
     """Interpolate a grid (columns, rows, n) at points (N, 2) px, constant beyond its border.
 
@@ -102,7 +103,7 @@ def bilinear(grid: F64, points: F64, per_px: F32) -> F64:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def length_at(grid: F32, x: F32, y: F32, per_px: F32, share: float) -> float:
     """Return the length that vectors on a grid (columns, rows, 2) keep to at a share of points.
 
@@ -126,7 +127,7 @@ def length_at(grid: F32, x: F32, y: F32, per_px: F32, share: float) -> float:
     return np.quantile(np.sqrt(squared), share)
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(fastmath=True, nogil=True)
 def material_derivative(flow: F32, per_px: F32, out: F32) -> None:
     """Differentiate a field along its own motion, du/ds + (u . grad) u, over the whole window.
 

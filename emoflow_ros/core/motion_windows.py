@@ -6,7 +6,6 @@ A part also has to be short enough for the fit to follow the changes of the moti
 
 from collections.abc import Callable
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +13,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import ImageContrast
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import Window, WindowPolicy
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.preparation import reduction
 from emoflow_ros.core.thinning import first_of_latest
 from emoflow_ros.core.window_events import WindowEvents
@@ -154,7 +154,7 @@ class MotionWindows:
         return _path_length(flow.tracks(self._grid, times), _FAST)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _path_length(positions: NDArray[np.float64], share: float) -> float:
     """Length, px, that a share of the paths through positions (times, N, 2) px keeps to."""
     length = np.zeros(positions.shape[1])

@@ -3,7 +3,6 @@
 Matrices are in lower band storage: band[j, i - j] is entry (i, j).
 """
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
@@ -15,6 +14,7 @@ from emoflow_ros.core.banded import (
     substitute_back,
 )
 from emoflow_ros.core.cells import Cells, add_cells, add_still_cells
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.lattice import TIMES, Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 
@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 
 _RIDGE = 1e-3  # px^-2, holds nodes that no event and no neighbour reaches
 
-_compiled = numba.njit(cache=True, nogil=True)
+_compiled = njit(nogil=True)
 
 
 class NormalEquations:
@@ -222,7 +222,7 @@ def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) ->
                 band[j, 2] -= weight
 
 
-@numba.njit(cache=True, nogil=True, inline="always")  # why: see core.constraints
+@njit(nogil=True, inline="always")  # why: see core.constraints
 def add_rows(
     normal: F64, by_further: F64, weight: F64, r: F64,
     vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,

@@ -7,13 +7,13 @@ working image.
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.thinning import spread_places
@@ -116,7 +116,7 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
     return WindowEvents.prepare(x, y, s, on)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _to_working_image(
     x: NDArray[np.uint16], y: NDArray[np.uint16], t: NDArray[np.int64], on: NDArray[np.bool_],
     chosen: NDArray[np.intp], start: int, end: int, sensor_px: F32, width: int, height: int,
@@ -185,7 +185,7 @@ def without_hot_pixels(events: Events, width: int, height: int) -> Events:
     return events[~hot[events.y, events.x]] if hot.any() else events
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _hot(
     x: NDArray[np.uint16], y: NDArray[np.uint16], width: int, height: int
 ) -> NDArray[np.bool_]:
@@ -229,7 +229,7 @@ def without_flicker(events: Events, width: int, height: int) -> Events:
     return events[~flickers[_lamp_blocks(events, width)]]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _flickering(
     x: NDArray[np.uint16], y: NDArray[np.uint16], t: NDArray[np.int64], on: NDArray[np.bool_],
     chosen: NDArray[np.intp], columns: int, count: int,

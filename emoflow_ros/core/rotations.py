@@ -1,15 +1,16 @@
 """Rotations that explain a flow, for given epipolar lines or alone, in numba."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 F64 = NDArray[np.float64]
 
 _LEAST_FLOW_PX = 0.3  # flow, px per window, that cannot be told from zero
 
 # Sums may be taken in any order, so that they become vector instructions.
-_compiled = numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
 @_compiled

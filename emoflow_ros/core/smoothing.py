@@ -1,8 +1,9 @@
 """Smoothing of images by symmetric kernels, in numba."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 F32 = NDArray[np.float32]
 
@@ -23,7 +24,7 @@ def outwards(taps: F32) -> Taps:
     return tuple(taps[len(taps) // 2 :])
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(fastmath=True, nogil=True)
 def smooth(images: F32, taps: Taps) -> None:
     """Convolve images with a symmetric kernel along columns and rows, in place; zero outside.
 

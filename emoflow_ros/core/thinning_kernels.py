@@ -1,8 +1,10 @@
 """Inner loops of thinning in numba; see `thinning`."""
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
+
+from emoflow_ros.core.jit import njit
 
 _BLOCK_BITS = 5  # 32 sensor pixels along a side of a block
 _SIDE_BITS = 6  # blocks along a side of the image; beyond 2048 px they are shared
@@ -35,7 +37,7 @@ def _column(kind: types.Type) -> types.Array:
     return types.Array(kind, 1, "C", readonly=True)
 
 
-@njit(types.intp(_column(types.uint32), types.int64), cache=True, nogil=True)
+@njit(types.intp(_column(types.uint32), types.int64), nogil=True)
 def first_of_latest(stands_for, count):  # type: ignore[no-untyped-def]
     """Index of the first of the latest events that stand for no more than `count`."""
     first, number = len(stands_for), np.int64(0)
@@ -45,7 +47,7 @@ def first_of_latest(stands_for, count):  # type: ignore[no-untyped-def]
     return first
 
 
-@njit(types.intp(_column(types.uint32), types.intp[::1]), cache=True, nogil=True)
+@njit(types.intp(_column(types.uint32), types.intp[::1]), nogil=True)
 def steps(stands_for, chosen):  # type: ignore[no-untyped-def]
     """Write the indices of the events at equal steps of the stream; return their number.
 
@@ -65,7 +67,7 @@ def steps(stands_for, chosen):  # type: ignore[no-untyped-def]
     return number
 
 
-@njit
+@njit()
 def _choose(x, y, p, weights, one_each, count, phase, rest, blocks, chosen, number):  # type: ignore[no-untyped-def]
     """Write the indices of `count` evenly spread events from chosen[number] on; return the next.
 
@@ -111,7 +113,6 @@ def _choose(x, y, p, weights, one_each, count, phase, rest, blocks, chosen, numb
         _column(types.uint32), _column(types.intp), _column(types.int64), types.boolean,
         types.intp[::1], types.uint32[::1],
     ),
-    cache=True,
     nogil=True,
 )  # fmt: skip
 def thin(x, y, t, p, weights, bounds, limits, one_each, chosen, shares):  # type: ignore[no-untyped-def]

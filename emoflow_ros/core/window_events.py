@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.jit import njit
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.smoothing import gaussian, outwards, smooth
 
@@ -129,7 +129,7 @@ class WindowEvents:
         return len(self.x)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _count(x: F32, y: F32) -> F32:
     """Return (2, rows, columns): the number of events in each density cell, and ones."""
     side = np.float32(_DENSITY_CELL)
@@ -140,7 +140,7 @@ def _count(x: F32, y: F32) -> F32:
     return both
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _choose(x: F32, y: F32, on: NDArray[np.bool_], size: F32) -> F32:
     """Take each event's value (N,) from its density cell's `size`, negative where it is not on."""
     side = np.float32(_DENSITY_CELL)
@@ -151,7 +151,7 @@ def _choose(x: F32, y: F32, on: NDArray[np.bool_], size: F32) -> F32:
     return weights
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _sort(
     x: F32, y: F32, s: F32, weights: F32, per_px: F32, rows: int, cells: int, parts: int,
     out: CellEvents,

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, permutation_test
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 
 Vectors = NDArray[np.float64]
 Flow = NDArray[np.floating[Any]]
@@ -38,7 +38,7 @@ def event_mask(events: Events, width: int, height: int) -> Mask:
     return mask
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _mark(x: NDArray[np.uint16], y: NDArray[np.uint16], mask: Mask) -> None:
     height, width = mask.shape
     for i in range(len(x)):
@@ -46,7 +46,7 @@ def _mark(x: NDArray[np.uint16], y: NDArray[np.uint16], mask: Mask) -> None:
             mask[y[i], x[i]] = True
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def known_flow_mask(truth: Flow) -> Mask:
     """Mark the pixels (H, W) whose true flow (H, W, 2) counts: finite, |u| > 0 and |v| > 0.
 
@@ -61,7 +61,7 @@ def known_flow_mask(truth: Flow) -> Mask:
     return known
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def at_pixels(mask: Mask, flow: Flow) -> tuple[Vectors, Flow]:
     """Take the pixels of a mask (H, W), row by row, from a flow image (H, W, 2).
 
@@ -122,7 +122,7 @@ def flow_errors(flow: Flow, truth: Flow) -> FlowErrors | None:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _sums(flow: Flow, truth: Flow) -> tuple[int, float, int, int, int, float, float]:
     """Count the pixels with an estimate and add up what `flow_errors` averages; angles in rad."""
     pixels = above_1 = above_2 = above_3 = 0

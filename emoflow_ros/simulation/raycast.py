@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.jit import njit
 from emoflow_ros.simulation.scene import Pose, Quad
 from emoflow_ros.simulation.textures import LEVELS, SIZE, TextureSet
 
@@ -109,7 +109,7 @@ def _tile_bounds(bearings: NDArray[np.float64]) -> NDArray[np.float64]:
     return bounds
 
 
-@njit(cache=True)
+@njit()
 def _reaches(row, box):  # type: ignore[no-untyped-def]
     """Whether a linear function of (x, y, 1) is positive anywhere on a box."""
     x = max(row[0] * box[0], row[0] * box[1])
@@ -117,7 +117,7 @@ def _reaches(row, box):  # type: ignore[no-untyped-def]
     return x + y + row[2] >= 0
 
 
-@njit(cache=True)
+@njit()
 def _candidates(box, matrices, sizes, out):  # type: ignore[no-untyped-def]
     """Write the numbers of the rectangles that may be seen in a tile; return how many."""
     count = 0
@@ -135,7 +135,7 @@ def _candidates(box, matrices, sizes, out):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _nearest(x, y, candidates, count, matrices, sizes):  # type: ignore[no-untyped-def]
     """Number of the nearest rectangle on the ray (-1: none) and its inverse depth."""
     best, nearest = 0.0, -1
@@ -152,7 +152,7 @@ def _nearest(x, y, candidates, count, matrices, sizes):  # type: ignore[no-untyp
     return nearest, best
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _cast(bearings, tiles, matrices, sizes):  # type: ignore[no-untyped-def]
     height, width = bearings.shape[:2]
     depth = np.full((height, width), np.nan)
@@ -171,7 +171,7 @@ def _cast(bearings, tiles, matrices, sizes):  # type: ignore[no-untyped-def]
     return depth, quad
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _render(  # type: ignore[no-untyped-def]
     bearings, tiles, matrices, sizes, texture, paint, texels, level_start, focal, image
 ):
@@ -194,7 +194,7 @@ def _render(  # type: ignore[no-untyped-def]
                         image[row, column] = paint[k, 2] + paint[k, 1] * value
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _level(m, u, v, scale):  # type: ignore[no-untyped-def]
     """Pyramid level whose texel is as large as the longer side of the pixel's footprint."""
     ux, uy = m[0, 0] - u * m[2, 0], m[0, 1] - u * m[2, 1]
@@ -203,7 +203,7 @@ def _level(m, u, v, scale):  # type: ignore[no-untyped-def]
     return min(max(0.5 * np.log2(footprint), 0.0), LEVELS - 1.001)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _trilinear(texels, level_start, u, v, level):  # type: ignore[no-untyped-def]
     """Sample between two pyramid levels, so that no level appears abruptly."""
     lower = int(level)
@@ -212,7 +212,7 @@ def _trilinear(texels, level_start, u, v, level):  # type: ignore[no-untyped-def
     return near + (level - lower) * (far - near)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _bilinear(texels, start, level, u, v):  # type: ignore[no-untyped-def]
     size = SIZE >> level
     u = u / (1 << level) - 0.5
@@ -227,7 +227,7 @@ def _bilinear(texels, start, level, u, v):  # type: ignore[no-untyped-def]
     return upper + fv * (lower - upper)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _blur(image):  # type: ignore[no-untyped-def]
     """The lens' point spread: [1 2 1] / 4 along both axes, the border repeated."""
     height, width = image.shape

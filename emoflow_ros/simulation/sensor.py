@@ -6,10 +6,10 @@ The disturbances: slow photoreceptors, noise, hot pixels, lost events, and a lam
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
+from emoflow_ros.core.jit import njit
 from emoflow_ros.errors import InputError
 
 _TICK = 1_000  # ns: event cameras stamp in microseconds
@@ -202,7 +202,7 @@ def lose_bursts(events: Events, share: float, rng: np.random.Generator) -> Event
     return events[np.searchsorted(edges, events.t, side="right") % 2 == 0]
 
 
-@njit(cache=True)
+@njit()
 def _crossings(  # type: ignore[no-untyped-def]
     before, after, t_before, t_after, thresholds, level, last, refractory
 ):
@@ -239,14 +239,14 @@ def _crossings(  # type: ignore[no-untyped-def]
     return xs[:count], ys[:count], ts[:count], ps[:count]
 
 
-@njit(cache=True)
+@njit()
 def _grow(column, capacity):  # type: ignore[no-untyped-def]
     grown = np.empty(capacity, column.dtype)
     grown[: len(column)] = column
     return grown
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _follow(state, image, product):  # type: ignore[no-untyped-def]
     height, width = state.shape
     for row in range(height):
@@ -257,7 +257,7 @@ def _follow(state, image, product):  # type: ignore[no-untyped-def]
             state[row, column] += np.float32(step / (1 + step)) * (value - state[row, column])
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _light(image, bearings, direction, level, inner, outer):  # type: ignore[no-untyped-def]
     height, width = image.shape
     for row in range(height):

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from importlib import import_module
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from emoflow_ros.core.jit import njit
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import TEXTURE_KINDS, Factors
 
@@ -117,7 +117,7 @@ def _leaves(rng: np.random.Generator) -> Texels:
     return canvas - canvas.mean()
 
 
-@njit(cache=True)
+@njit()
 def _scatter(  # type: ignore[no-untyped-def]
     canvas, centre, radius, stretch, angle, is_disc, value
 ):

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.jit import njit
 from emoflow_ros.truth.ground_truth import FlowSource, PoseTrack, TrueFlow
 
 _KEPT_MAPS = 8
@@ -106,7 +106,7 @@ class PropagatedFlow:
         return self._kept[index]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _carry(
     flow: NDArray[np.float32],
     mover: NDArray[np.bool_],

@@ -6,9 +6,10 @@ its row in bits 0-10; TIME_HIGH the next 28 bits. 34 bits of microseconds wrap e
 """
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import kernel_signature, run_kernel, view_words
 
@@ -50,7 +51,7 @@ class PacketDecoder:
         self._state[:] = 0
 
 
-@njit(kernel_signature(types.uint32), cache=True, nogil=True)
+@njit(kernel_signature(types.uint32), nogil=True)
 def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     high, known = state[_HIGH], state[_KNOWN]
     n = triggers = wraps = skipped = 0

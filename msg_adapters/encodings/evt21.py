@@ -8,10 +8,11 @@ TIME_HIGH the next 28 bits of time in bits 32-59. IMX636 sends the upper 32 bits
 """
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import count_bits, expand, kernel_signature, run_kernel, view_words
 
@@ -80,7 +81,6 @@ def _plausible(words: NDArray[np.int64]) -> int:
 
 @njit(
     types.int64(types.Array(types.int64, 1, "C", readonly=True, aligned=False)),
-    cache=True,
     nogil=True,
 )
 def _count(words):  # type: ignore[no-untyped-def]
@@ -92,7 +92,7 @@ def _count(words):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(kernel_signature(types.int64), cache=True, nogil=True)
+@njit(kernel_signature(types.int64), nogil=True)
 def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     high, known = state[_HIGH], state[_KNOWN]
     n = triggers = wraps = skipped = 0

@@ -6,9 +6,10 @@ start of a vector hold until the next word of their kind, also across packets.
 """
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import count_bits, expand, kernel_signature, run_kernel, view_words
 
@@ -67,7 +68,6 @@ class PacketDecoder:
 
 @njit(
     types.int64(types.Array(types.uint16, 1, "C", readonly=True, aligned=False)),
-    cache=True,
     nogil=True,
 )
 def _count(words):  # type: ignore[no-untyped-def]
@@ -87,7 +87,7 @@ def _count(words):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(kernel_signature(types.uint16), cache=True, nogil=True)
+@njit(kernel_signature(types.uint16), nogil=True)
 def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     high, low, row = state[_HIGH], state[_LOW], state[_ROW]
     base, on, known = state[_BASE], state[_ON], state[_KNOWN]

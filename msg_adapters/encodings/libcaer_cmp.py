@@ -5,9 +5,10 @@ time starts at the packet's time_base and counts 24 bits of microseconds in two 
 """
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from emoflow_ros.core.events import Events
+from emoflow_ros.core.jit import njit
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import count_bits, expand, kernel_signature, run_kernel, view_words
 
@@ -49,7 +50,6 @@ class PacketDecoder:
 
 @njit(
     types.int64(types.Array(types.uint16, 1, "C", readonly=True, aligned=False)),
-    cache=True,
     nogil=True,
 )
 def _count(words):  # type: ignore[no-untyped-def]
@@ -67,7 +67,7 @@ def _count(words):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(kernel_signature(types.uint16), cache=True, nogil=True)
+@njit(kernel_signature(types.uint16), nogil=True)
 def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     time_base = time = state[0]
     high = low = on = np.int64(0)

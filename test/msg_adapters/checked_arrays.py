@@ -1,4 +1,4 @@
-"""Arrays and a stand-in for numba's njit that let no kernel index out of bounds unseen."""
+"""Arrays and a stand-in for njit that let no kernel index out of bounds unseen."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -27,7 +27,7 @@ class CheckedArray(np.ndarray):
 
 
 def checked_njit(*_: Any, **__: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Take the place of `numba.njit(signature, ...)`: run uncompiled, on checked arrays."""
+    """Take the place of `njit(signature, ...)`: run uncompiled, on checked arrays."""
 
     def decorate(kernel: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(kernel)

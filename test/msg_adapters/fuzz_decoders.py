@@ -18,14 +18,15 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import atheris
-import numba
 import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.readers"]):
     from checked_arrays import checked_njit
 
-    numba.njit = checked_njit  # before the kernels are imported
+    from emoflow_ros.core import jit
+
+    jit.njit = checked_njit  # before the kernels are imported
     from encoders import ENCODERS, payload, synthetic
     from limits import EVENTS_PER_BYTE, decode_within_limits
     from messages import event_array, event_packet, point_cloud

@@ -34,7 +34,7 @@ def test_every_target_survives_a_short_run():
 
 @pytest.mark.parametrize("index", [-1, 3, np.int64(-1)])
 def test_kernels_under_the_fuzzer_cannot_index_out_of_bounds(index):
-    @checked_njit("a signature", cache=True)
+    @checked_njit("a signature", nogil=True)
     def write(values, at):
         values[at] = 7
         return values[at]
