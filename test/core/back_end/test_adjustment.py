@@ -1,0 +1,192 @@
+"""The adjustment against SciPy's least squares, and what its covariance and priors say."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
+from emoflow_ros.core.back_end.adjustment_kernels import (
+    NODE,
+    Observations,
+    Prior,
+    Unknowns,
+    turned,
+)
+from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.trajectory import along, motion_at
+from emoflow_ros.core.back_end.walks import Walks
+
+NODES, PATCHES, NOISE = 5, 30, 5e-4
+T = np.arange(NODES) * 40_000_000
+DEPTHS = (0.01, 20.0)
+W, V = np.array([0.1, -0.2, 0.05]), np.array([0.3, 0.1, 0.2])
+NOT_ROBUST = 1e6  # standard deviations
+
+
+def truth() -> Unknowns:
+    rng = np.random.default_rng(1)
+    return along(T, np.tile(W, (NODES, 1)), np.tile(V, (NODES, 1)), rng.uniform(0.5, 1.6, PATCHES))
+
+
+def seen_by(x: Unknowns, bearing: np.ndarray, anchor: int, node: int) -> np.ndarray:
+    rays = np.concatenate([bearing, np.ones((len(bearing), 1))], axis=1)
+    common = rays @ x.rotation[anchor].T
+    common = common + x.inverse_depth[:, None] * (x.position[anchor] - x.position[node])
+    inside = common @ x.rotation[node]
+    return inside[:, :2] / inside[:, 2:]
+
+
+def problem(noise: float = NOISE, seed: int = 2) -> Observations:
+    rng, x = np.random.default_rng(seed), truth()
+    bearing = rng.uniform(-0.6, 0.6, (PATCHES, 2))
+    patch, node = (a.ravel() for a in np.meshgrid(np.arange(PATCHES), np.arange(1, NODES)))
+    seen = np.concatenate([seen_by(x, bearing, 0, k) for k in range(1, NODES)])
+    seen = seen + noise * rng.normal(size=seen.shape)
+    root = np.tile(np.eye(2) / NOISE, (len(patch), 1, 1))
+    return Observations(
+        patch, node, seen, root, np.zeros(PATCHES, np.int64), bearing,
+        np.ones(PATCHES), np.ones(PATCHES),
+    )  # fmt: skip
+
+
+def prior(walk: float = 0.5, velocity_walk: float = 1.0) -> Prior:
+    none = np.zeros(0, np.int64)
+    return Prior(
+        np.diff(T) * 1e-9, walk**2, velocity_walk**2, 2.0,
+        none, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)), 20.0,
+    )  # fmt: skip
+
+
+def start() -> Unknowns:
+    nothing = np.zeros((NODES, 3))
+    return along(T, nothing, nothing + [0.1, 0.0, 0.1], np.ones(PATCHES))
+
+
+def adjusted(observations: Observations, **options) -> Adjusted:
+    return adjust(observations, start(), prior(), NOT_ROBUST, 40, DEPTHS, **options)
+
+
+def residuals(free: np.ndarray, o: Observations, p: Prior) -> np.ndarray:
+    """All residuals of a vector of unknowns about the start, written down independently."""
+    begin = start()
+    nodes = np.zeros((NODES, NODE))
+    nodes.ravel()[: NODES * NODE] = 0
+    index = np.ones((NODES, NODE), np.bool_)
+    index[-1, :6] = False
+    nodes[index] = free[: index.sum()]
+    rotation = np.stack([turned(r, n[:3]) for r, n in zip(begin.rotation, nodes, strict=True)])
+    x = Unknowns(
+        rotation, begin.position + nodes[:, 3:6], begin.angular + nodes[:, 6:9],
+        begin.velocity + nodes[:, 9:], begin.inverse_depth + free[index.sum() :],
+    )  # fmt: skip
+    rows = []
+    for k in range(1, NODES):
+        of_node = o.node == k
+        rows.append((seen_by(x, o.bearing, 0, k) - o.seen[of_node]).ravel() / NOISE)
+    for k, dt in enumerate(p.seconds):
+        turn = Rotation.from_matrix(x.rotation[k].T @ x.rotation[k + 1]).as_rotvec()
+        noise = np.linalg.cholesky(np.linalg.inv([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]))
+        for density, way, change in (
+            (p.angular_walk, turn - dt * x.angular[k], x.angular[k + 1] - x.angular[k]),
+            (
+                p.velocity_walk,
+                x.position[k + 1] - x.position[k] - dt * x.velocity[k],
+                x.velocity[k + 1] - x.velocity[k],
+            ),
+        ):
+            rows.append((noise.T @ np.stack([way, change]) / np.sqrt(density)).ravel())
+    rows += [(x.velocity / p.speed_sd).ravel(), (x.inverse_depth - o.depth_mean) / o.depth_sd]
+    return np.concatenate(rows)
+
+
+def test_the_optimum_is_that_of_scipy():
+    found = adjusted(problem())
+    count = NODES * NODE - 6 + PATCHES
+    best = least_squares(residuals, np.zeros(count), args=(problem(), prior()), x_scale="jac")
+    assert found.cost == pytest.approx(best.cost, rel=1e-3)
+    spread = np.linalg.inv(best.jac.T @ best.jac)[: NODES * NODE - 6, : NODES * NODE - 6]
+    rates = [NODE * (NODES - 2) + 6 + k for k in range(3)]
+    own = np.sqrt(np.diag(found.covariance)[rates])
+    assert own == pytest.approx(np.sqrt(np.diag(spread)[rates]), rel=0.05)
+
+
+def test_without_noise_the_motion_is_found():
+    found = adjusted(problem(noise=0.0))
+    motion = motion_at(T, found, int(T[2]))
+    assert np.degrees(np.linalg.norm(motion.angular - W)) < 0.05
+    direction = motion.linear / np.linalg.norm(motion.linear)
+    assert direction == pytest.approx(V / np.linalg.norm(V), abs=5e-3)
+
+
+def test_errors_are_those_of_the_covariance():
+    squares = []
+    for seed in range(40):
+        steady = prior(0.01, 0.01)  # as the camera of `truth` moves
+        found = adjust(problem(seed=seed), start(), steady, NOT_ROBUST, 60, DEPTHS)
+        motion = motion_at(T, found, int(T[2]))
+        error = motion.angular - W
+        squares.append(error @ np.linalg.solve(motion.covariance[3:, 3:], error) / 3)
+    assert 0.3 < np.mean(squares) < 1.5
+
+
+def test_wrong_places_do_not_pull():
+    o = problem()
+    wrong = np.arange(len(o.patch)) % 6 == 0
+    o = o._replace(seen=o.seen + np.where(wrong[:, None], [0.03, -0.02], 0.0))
+    robust = adjust(o, start(), prior(), 2.0, 40, DEPTHS)
+    plain = adjusted(o)
+    errors = [
+        np.degrees(np.linalg.norm(motion_at(T, a, int(T[2])).angular - W)) for a in (robust, plain)
+    ]
+    assert errors[0] < 1.5
+    assert errors[1] > 3 * errors[0]
+
+
+def test_a_camera_that_only_rotates_costs_more_where_there_is_parallax():
+    full, still = adjusted(problem()), adjusted(problem(), travels=False)
+    assert still.cost > full.cost + PATCHES
+    assert not still.x.velocity.any()
+    assert not still.x.position.any()
+
+
+def test_a_measured_angular_velocity_pulls_as_its_covariance_says():
+    free = prior()
+    measured = free._replace(
+        measured_node=np.array([2]), measured_share=np.array([0.0]),
+        measured=np.array([[1.0, 0.0, 0.0]]), measured_root=np.array([np.eye(3) / 1e-6]),
+        measured_outlier=1e9,
+    )  # fmt: skip
+    found = adjust(problem(), start(), measured, NOT_ROBUST, 60, DEPTHS)
+    assert found.x.angular[2] == pytest.approx([1.0, 0.0, 0.0], abs=1e-2)
+
+
+def test_a_place_that_is_no_number_is_refused():
+    o = problem()
+    with pytest.raises(np.linalg.LinAlgError):
+        adjusted(o._replace(seen=np.full_like(o.seen, np.nan)))
+
+
+def test_walks_are_learnt_from_restless_and_from_steady_motion():
+    settings = BackEndSettings()
+    rng = np.random.default_rng(0)
+    for walk in (0.3, 3.0):  # rad/s per square root of a second
+        steps = walk * np.sqrt(0.04) * rng.normal(size=(12, 3))
+        t = np.arange(12) * 40_000_000
+        x = along(t, np.cumsum(steps, axis=0), np.zeros((12, 3)), np.ones(1))
+        free = np.arange(12 * NODE)
+        known = Adjusted(x, 0.0, np.zeros(1), np.diag(np.full(len(free), 1e9)), free, True)
+        walks = Walks.unknown(settings)
+        for _ in range(40):
+            walks = walks.learnt(known, np.diff(t) * 1e-9, settings)
+        learnt = np.sqrt(walks.angular / settings.learnt_excess)
+        assert learnt == pytest.approx(walk, rel=0.35)
+
+
+def test_places_that_do_not_fit_widen_the_covariance():
+    settings = BackEndSettings()
+    good, bad = (
+        Adjusted(truth(), 0.0, np.full(10, s), np.eye(3), np.arange(3), True) for s in (0.5, 9.0)
+    )
+    assert good.variance_factor(settings) == pytest.approx((0.25 / 1.125 / 0.25) ** 2)
+    assert bad.variance_factor(settings) > 5

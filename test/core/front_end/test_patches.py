@@ -1,0 +1,135 @@
+"""Patches: how exactly they are found again, and what is known of their places."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.front_end.patches import Patches, choose, follow, on_plane
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slice_kernels import halve
+from emoflow_ros.core.front_end.slices import Picture, Slice, grid_size
+
+CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
+SETTINGS = FrontEndSettings()
+ROWS, COLUMNS = grid_size(*CAMERA.size)
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return 50 * gaussian_filter(rng.normal(size=(120, 160)), 2.0).astype(np.float32)
+
+
+def slice_of(image: np.ndarray, t: int = 0, flow: tuple[float, float] = (10.0, 0.0)) -> Slice:
+    image = np.ascontiguousarray(image, np.float32)
+    grid = np.tile(np.array(flow, np.float32), (ROWS, COLUMNS, 1))
+    return Slice(t, Picture.of(image), Picture.of(halve(image)), grid, float((image**2).sum()))
+
+
+def moved(image: np.ndarray, x: float, y: float) -> np.ndarray:
+    return shift(image, (y, x), order=3)
+
+
+def first(image: np.ndarray) -> Patches:
+    return choose(slice_of(image), Patches.none(), CAMERA, SETTINGS)
+
+
+@pytest.mark.parametrize("way", [(0.3, -0.2), (2.0, 1.0), (-3.4, 2.6)])
+def test_patches_are_found_to_a_hundredth_of_a_pixel(way):
+    image = texture()
+    patches = first(image)
+    assert len(patches) > 60
+    found = follow(
+        patches, slice_of(moved(image, *way), 10**7), patches.place + 1.0, CAMERA, SETTINGS
+    )
+    good = found.alive
+    assert good.mean() > 0.9
+    error = (found.place - patches.place - way)[good]
+    assert np.median(np.linalg.norm(error, axis=1)) < 0.03
+
+
+def test_a_patch_that_goes_back_has_the_other_polarity():
+    image = texture()
+    patches = first(image)
+    back = slice_of(-moved(image, -1.0, 0.5), 10**7, flow=(-10.0, 0.0))
+    found = follow(patches, back, patches.place, CAMERA, SETTINGS)
+    assert found.alive.mean() > 0.9
+    assert np.median((found.place - patches.place)[found.alive], axis=0) == pytest.approx(
+        [-1.0, 0.5], abs=0.02
+    )
+
+
+def test_another_texture_is_not_found():
+    patches = first(texture())
+    found = follow(patches, slice_of(texture(1), 10**7), patches.place, CAMERA, SETTINGS)
+    assert found.alive.mean() < 0.2  # two smooth textures look alike here and there
+
+
+def test_along_an_edge_a_patch_stays_where_it_is_expected_and_nothing_is_known():
+    column = np.exp(-0.5 * ((np.arange(160) - 80.0) / 1.5) ** 2)
+    rng = np.random.default_rng(3)
+
+    def edge() -> np.ndarray:
+        noise = gaussian_filter(rng.normal(size=(120, 160)), 0.8)
+        return (20 * np.tile(column, (120, 1)) + noise).astype(np.float32)
+
+    patches = first(edge())
+    patches = patches.at(np.abs(patches.place[:, 0] - 80) < 3)
+    assert len(patches) >= 5
+    found = follow(
+        patches, slice_of(edge(), 10**7), patches.place + np.array([0.0, 2.0]), CAMERA, SETTINGS
+    )
+    assert found.alive.all()
+    along = found.place[:, 1] - patches.place[:, 1]
+    assert np.abs(found.place[:, 0] - patches.place[:, 0]).max() < 0.2
+    assert np.median(np.abs(along - 2.0)) < 1.0
+    information = np.einsum("nji,njk->nik", found.root[:, -1], found.root[:, -1])
+    across, weak = information[:, 0, 0], information[:, 1, 1]
+    assert np.median(weak / across) < 1e-3
+
+
+def test_information_is_that_of_the_errors():
+    """Noise of known size: squared errors over the covariance are 2 on average (two axes)."""
+    rng = np.random.default_rng(5)
+    clean, squares = texture(), []
+    for _ in range(8):
+        noisy = [clean + 1.5 * gaussian_filter(rng.normal(size=clean.shape), 0.8) for _ in range(2)]
+        patches = first(noisy[0])
+        found = follow(patches, slice_of(noisy[1], 10**6), patches.place, CAMERA, SETTINGS)
+        error = (found.place - patches.place)[found.alive] / 120.0
+        white = np.einsum("nij,nj->ni", found.root[found.alive, -1], error)
+        squares.append((white**2).sum(axis=1))
+    mean = float(np.concatenate(squares).mean())
+    assert 0.3 < mean < 2.5
+
+
+def test_an_older_appearance_tells_less():
+    place, information = np.full((2, 2), 50.0), np.tile(1e4 * np.eye(2), (2, 1, 1))
+    _, root = on_plane(CAMERA, place, information, np.array([0.0, 1.0]), SETTINGS)
+    young, old = np.linalg.norm(root, axis=(1, 2))
+    assert old < 0.6 * young
+
+
+def test_new_patches_keep_off_those_that_are_followed():
+    image = texture()
+    patches = first(image)
+    again = choose(slice_of(image), patches.at(np.arange(len(patches)) % 2 == 0), CAMERA, SETTINGS)
+    apart = np.abs(again.place[:, None] - again.place[None]).max(axis=-1)
+    np.fill_diagonal(apart, 99)
+    assert apart.min() > SETTINGS.distance_px
+    assert len(again) > 0.8 * len(patches)
+
+
+def test_an_empty_slice_has_no_patches():
+    assert len(first(np.zeros((120, 160), np.float32))) == 0
+
+
+def test_the_oldest_slice_is_forgotten_with_what_only_it_shows():
+    image = texture()
+    patches = first(image)
+    found = follow(patches, slice_of(moved(image, 1, 0), 10**7), patches.place, CAMERA, SETTINGS)
+    lost = ~found.alive
+    kept = found.without_first(np.full(len(found), 0.7))
+    assert len(kept) == len(found) - lost.sum()
+    assert kept.found.shape[1] == 1
+    assert (kept.inverse_depth == 0.7).all()

@@ -1,0 +1,97 @@
+"""Slices: where events are drawn, how sharp, and how the stream is cut."""
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.events import NS_PER_MS, Events
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slices import SliceEvents, draw, grid_size
+from emoflow_ros.core.front_end.slicing import slices
+
+SIZE = (96, 64)
+ROWS, COLUMNS = grid_size(*SIZE)
+SPEED = 60.0  # px/s
+
+
+def moving_edge(sign: float = 1.0) -> SliceEvents:
+    """An upright edge that is at x = 40 in the middle of a slice of 100 ms."""
+    rng = np.random.default_rng(0)
+    dt = rng.uniform(-0.05, 0.05, 3000).astype(np.float32)
+    y = rng.uniform(5, 58, 3000).astype(np.float32)
+    x = (40 - SPEED * dt).astype(np.float32)
+    return SliceEvents(0, x, y, dt, np.full(3000, sign, np.float32))
+
+
+def constant_flow(u: float, v: float = 0.0) -> np.ndarray:
+    return np.tile(np.array([u, v], np.float32), (ROWS, COLUMNS, 1))
+
+
+def test_events_along_the_true_flow_lie_where_the_edge_is_in_the_middle():
+    picture = draw(moving_edge(), constant_flow(SPEED), SIZE)
+    columns = picture.full.image.sum(axis=0)
+    assert columns @ np.arange(SIZE[0]) / columns.sum() == pytest.approx(40, abs=0.02)
+    assert columns.sum() == pytest.approx(3000, rel=1e-3)
+    assert columns[37:44].sum() == pytest.approx(3000, rel=1e-3)
+
+
+def test_the_true_flow_is_the_sharpest():
+    sharpness = [draw(moving_edge(), constant_flow(u), SIZE).sharpness for u in (0, 30, 60, 90)]
+    assert sharpness[2] == max(sharpness)
+    assert sharpness[2] > 2 * sharpness[0]
+
+
+def test_off_events_are_negative():
+    on, off = (draw(moving_edge(s), constant_flow(SPEED), SIZE).full.image for s in (1.0, -1.0))
+    assert np.array_equal(on, -off)
+
+
+def test_the_half_image_is_the_mean_of_the_full_one():
+    picture = draw(moving_edge(), constant_flow(SPEED), SIZE)
+    columns = picture.half.image.sum(axis=0)
+    assert 4 * columns.sum() == pytest.approx(3000, rel=0.02)
+    middle = columns @ np.arange(len(columns)) / columns.sum()
+    assert 2 * middle + 0.5 == pytest.approx(40, abs=0.1)
+
+
+def test_events_carried_off_the_image_are_left_out():
+    picture = draw(moving_edge(), constant_flow(1e6), SIZE)
+    assert np.abs(picture.full.image).sum() < 30
+
+
+def stream(seconds: float = 0.3) -> Events:
+    t = np.arange(0, round(seconds * 1e9), 10_000)
+    return Events(
+        (np.arange(len(t)) % 90).astype(np.uint16), (np.arange(len(t)) % 60).astype(np.uint16), t,
+        np.ones(len(t), np.bool_),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("speed", "number", "length_ms"),
+    [(400.0, 5, 13.5), (100.0, 2, 33.75), (50.0, 1, 80.0), (10.0, 1, 100.0)],
+)
+def test_slices_are_as_long_as_the_motion_takes_for_some_pixels(speed, number, length_ms):
+    since, until = 200 * NS_PER_MS, 267_500_000
+    settings = FrontEndSettings()
+    made = list(slices(stream(), since, until, constant_flow(speed), np.ones(2), settings))
+    assert len(made) == number
+    ends = [round(s.t + 1e9 * max(0.0, -float(s.dt.min()))) for s in made]
+    assert ends[-1] == pytest.approx(until, abs=20_000)
+    for s in made:
+        assert float(s.dt.max() - s.dt.min()) * 1e3 == pytest.approx(length_ms, abs=0.1)
+
+
+def test_a_slice_before_the_first_event_is_left_out():
+    made = list(
+        slices(stream(), -200 * NS_PER_MS, 0, constant_flow(100.0), np.ones(2), FrontEndSettings())
+    )
+    assert made == []
+
+
+def test_large_slices_are_thinned_evenly():
+    settings = FrontEndSettings(most_events=500)
+    (made,) = slices(
+        stream(), 200 * NS_PER_MS, 267_500_000, constant_flow(50.0), np.ones(2), settings
+    )
+    assert len(made.x) == 500
+    assert np.diff(np.sort(made.dt)).max() < 2e-3
