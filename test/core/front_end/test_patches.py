@@ -65,7 +65,7 @@ def test_another_texture_is_not_found():
     assert found.alive.mean() < 0.2  # two smooth textures look alike here and there
 
 
-def test_along_an_edge_a_patch_stays_where_it_is_expected_and_nothing_is_known():
+def test_along_an_edge_nothing_is_known_of_the_place():
     column = np.exp(-0.5 * ((np.arange(160) - 80.0) / 1.5) ** 2)
     rng = np.random.default_rng(3)
 
@@ -82,7 +82,7 @@ def test_along_an_edge_a_patch_stays_where_it_is_expected_and_nothing_is_known()
     assert found.alive.all()
     along = found.place[:, 1] - patches.place[:, 1]
     assert np.abs(found.place[:, 0] - patches.place[:, 0]).max() < 0.2
-    assert np.median(np.abs(along - 2.0)) < 1.0
+    assert np.median(np.abs(along - 2.0)) < 2 * SETTINGS.expected_px
     information = np.einsum("nji,njk->nik", found.root[:, -1], found.root[:, -1])
     across, weak = information[:, 0, 0], information[:, 1, 1]
     assert np.median(weak / across) < 1e-3
