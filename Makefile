@@ -5,7 +5,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 ENV := set +u; source scripts/env.sh; set -u
 
-.PHONY: help setup messages demo test lint bench bench-long accuracy accuracy-compare fuzz soak clean
+.PHONY: help setup messages demo test lint bench bench-long accuracy ladder accuracy-compare fuzz soak clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
@@ -42,6 +42,10 @@ bench-long: messages  ## all of benchmarks/ in full, ten minutes of replay and t
 accuracy: setup  ## accuracy and honesty over many recordings, into out/accuracy/; ACCURACY_ARGS=--quick: fewer
 	@$(ENV)
 	python -m benchmarks.scoreboard $(ACCURACY_ARGS)
+
+ladder: setup  ## the memory of positions rung by rung over 20 recordings, into out/accuracy/ladder.json
+	@$(ENV)
+	python -m benchmarks.scoreboard.ladder
 
 accuracy-compare: setup  ## two of its results, A=before.json B=after.json
 	@$(ENV)

@@ -50,6 +50,9 @@ class RememberingEstimator:
         camera: whose pixels the events lie on.
         front: settings of the front end.
         back: settings of the back end.
+
+    Attributes:
+        image: the tracking image.
     """
 
     def __init__(
@@ -58,14 +61,14 @@ class RememberingEstimator:
     ) -> None:  # fmt: skip
         self._estimator = estimator
         self._front = front or FrontEndSettings()
-        self._image = WorkingImage.of(camera, self._front.longer_side_px)
-        self._odometry = Odometry(self._image.camera, self._front, back)
+        self.image = WorkingImage.of(camera, self._front.longer_side_px)
+        self._odometry = Odometry(self.image.camera, self._front, back)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self._estimator.reset()
-        self._memory = self._nothing()
+        self._memory = self.nothing()
 
     def estimate(self, window: Window) -> Estimate:
         """Estimate a window's flow and motion."""
@@ -83,7 +86,7 @@ class RememberingEstimator:
         """
         end = memory.end
         if end is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
-            memory, end = self._nothing(), window.t_start
+            memory, end = self.nothing(), window.t_start
         if found.flow is None:
             return replace(memory, end=end), found
         state = memory.odometry
@@ -93,7 +96,8 @@ class RememberingEstimator:
         estimate = found if motion is None else self._read(found, state, motion)
         return Memory(state, window.t_end), estimate
 
-    def _nothing(self) -> Memory:
+    def nothing(self) -> Memory:
+        """A memory of nothing."""
         return Memory(self._odometry.start())
 
     def _slices(
@@ -102,7 +106,7 @@ class RememberingEstimator:
         grid = self._on_grid(flow, found.t)
         measured: Measured | None = self._measured(found)
         for events in slices(
-            window.events, since, window.t_end, grid, self._image.sensor_px, self._front
+            window.events, since, window.t_end, grid, self.image.sensor_px, self._front
         ):
             at = int(np.clip(events.t, found.t_start, found.t_end))
             hint = Hint(self._on_grid(flow, at), found.angular, found.linear, measured)
@@ -114,11 +118,11 @@ class RememberingEstimator:
         dense = flow.velocity(t)
         height, width = dense.shape[:2]
         rows, columns = self._odometry.grid.a.shape[:2]
-        side_x, side_y = self._image.camera.size
+        side_x, side_y = self.image.camera.size
         x = np.minimum(np.arange(columns) * GRID_PX, side_x - 1) * ((width - 1) / (side_x - 1))
         y = np.minimum(np.arange(rows) * GRID_PX, side_y - 1) * ((height - 1) / (side_y - 1))
         chosen = dense[np.round(y).astype(int)[:, None], np.round(x).astype(int)]
-        return np.ascontiguousarray(chosen / self._image.sensor_px, np.float32)
+        return np.ascontiguousarray(chosen / self.image.sensor_px, np.float32)
 
     def _measured(self, found: Estimate) -> Measured:
         spread = np.radians(self._odometry.back.lattice_sd_deg)

@@ -1,0 +1,161 @@
+"""The estimator with a memory on simulated scenes: accuracy, honesty, determinism, bad days."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.config import load_config
+from emoflow_ros.core.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.events import NS_PER_MS, Events, Window, WindowSlicer
+from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
+
+CONFIG = load_config("memory")
+SETTLED = 4  # windows: the first 0.4 s
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording, its windows and what is estimated of them."""
+
+    recording: SimulatedRecording
+    windows: list[Window]
+    estimates: list[Estimate]
+
+    def true_angular(self, t: int) -> np.ndarray:
+        return self.recording.truth.twist(t)[1]
+
+    def error(self, e: Estimate) -> float:
+        """Error of w, deg/s."""
+        return float(np.degrees(np.linalg.norm(e.angular - self.true_angular(e.t))))
+
+    def errors(self) -> tuple[list[float], list[float]]:
+        """Errors of w (deg/s) and of the direction of travel (deg), settled windows."""
+        w, v = [], []
+        for e in self.estimates[SETTLED:]:
+            travel = self.recording.truth.twist(e.t)[0]
+            w.append(self.error(e))
+            unit = travel / np.linalg.norm(travel)
+            v.append(float(np.degrees(np.arccos(np.clip(e.linear @ unit, -1, 1)))))
+        return w, v
+
+
+def windows_of(events: Events) -> list[Window]:
+    return WindowSlicer(CONFIG.window).push(events)
+
+
+def estimates_of(recording: SimulatedRecording, windows: list[Window]) -> list[Estimate]:
+    estimator = make_estimator(recording.camera, CONFIG)
+    return [estimator.estimate(window) for window in windows]
+
+
+def run_of(scene: str) -> Run:
+    recording = simulate(scene, duration_s=0.8, seed=4, fps=500)
+    windows = windows_of(recording.events)
+    return Run(recording, windows, estimates_of(recording, windows))
+
+
+@pytest.fixture(scope="module")
+def calm() -> Run:
+    return run_of("calm")
+
+
+def test_a_calm_scene_is_estimated_to_a_degree_per_second(calm: Run):
+    w, v = calm.errors()
+    assert np.median(w) < 1.0
+    assert np.median(v) < 3.0
+    assert max(w) < 2.5
+
+
+def test_every_window_has_an_estimate_with_a_covariance_that_holds(calm: Run):
+    for e in calm.estimates:
+        assert e.status is Status.OK
+        error = e.angular - calm.true_angular(e.t)
+        assert error @ np.linalg.solve(e.covariance[3:, 3:], error) / 3 < 5
+    assert all(e.model is MotionModel.FULL for e in calm.estimates[SETTLED:])
+
+
+def test_motion_is_continuous_over_the_window(calm: Run):
+    last = calm.estimates[-1]
+    assert last.motion is not None
+    assert last.motion.angular(last.t) == pytest.approx(last.angular, abs=1e-9)
+    assert last.motion.linear(last.t) == pytest.approx(last.linear, abs=1e-9)
+
+
+def test_a_rotation_has_no_direction_of_travel():
+    turning = run_of("rotation")
+    settled = turning.estimates[SETTLED:]
+    assert all(e.model is MotionModel.ROTATION for e in settled)
+    assert all(e.covariance[0, 0] == -1 for e in settled)
+    error = [turning.error(e) for e in settled]
+    assert np.median(error) < 1.5
+
+
+def test_the_same_windows_give_the_same_bits(calm: Run):
+    for a, b in zip(calm.estimates, estimates_of(calm.recording, calm.windows), strict=True):
+        assert np.array_equal(a.angular, b.angular)
+        assert np.array_equal(a.covariance, b.covariance)
+
+
+def test_another_origin_of_the_clock_changes_nothing(calm: Run):
+    shift = 23 * 1_000_000_000 + 17
+    moved = replace(calm.recording.events, t=calm.recording.events.t + shift)
+    for a, b in zip(calm.estimates, estimates_of(calm.recording, windows_of(moved)), strict=True):
+        assert b.t == a.t + shift
+        assert b.angular == pytest.approx(a.angular, abs=1e-9)
+
+
+def test_after_a_gap_the_memory_begins_anew(calm: Run):
+    events = calm.recording.events
+    t0 = int(events.t[0])
+    late = replace(events, t=events.t + 2_000_000_000)
+    both = Events.concatenate([events[events.t < t0 + 400 * NS_PER_MS], late])
+    estimates = estimates_of(calm.recording, windows_of(both))
+    after = [e for e in estimates if e.t > t0 + 2_000_000_000 + 400 * NS_PER_MS]
+    errors = [calm.error(replace(e, t=e.t - 2_000_000_000)) for e in after if e.status is Status.OK]
+    assert len(errors) >= 4
+    assert np.median(errors) < 2.0
+
+
+def noise(count: int, t0: int, t1: int, size: tuple[int, int]) -> Events:
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.integers(t0, t1, count))
+    x, y = (rng.integers(0, n, count).astype(np.uint16) for n in size)
+    return Events(x, y, t, rng.random(count) < 0.5)
+
+
+def one_line(count: int, t0: int, t1: int) -> Events:
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.integers(t0, t1, count))
+    x = (20 + 300 * ((t - t0) / (t1 - t0))).astype(np.uint16)
+    return Events(x, np.full(count, 130, np.uint16), t, np.ones(count, np.bool_))
+
+
+@pytest.mark.parametrize("bad", ["noise", "one line", "half lost", "one patch"])
+def test_a_bad_time_ends_in_no_exception_and_is_over_soon_after(calm: Run, bad: str):
+    events = calm.recording.events
+    t0 = int(events.t[0])
+    begin, end = t0 + 270 * NS_PER_MS, t0 + 400 * NS_PER_MS
+    inside = (events.t >= begin) & (events.t < end)
+    rng = np.random.default_rng(1)
+    if bad == "half lost":
+        instead = events[inside & (rng.random(len(events)) < 0.5)]
+    elif bad == "one patch":
+        near = (np.abs(events.x.astype(int) - 170) < 15) & (np.abs(events.y.astype(int) - 130) < 15)
+        instead = events[inside & near]
+    elif bad == "noise":
+        instead = noise(int(inside.sum()), begin, end, calm.recording.camera.size)
+    else:
+        instead = one_line(int(inside.sum()), begin, end)
+    disturbed = Events.concatenate([events[events.t < begin], instead, events[events.t >= end]])
+    estimates = estimates_of(calm.recording, windows_of(disturbed))
+    for e in estimates:
+        assert e.status in set(Status)
+        if e.status is Status.OK:
+            assert np.isfinite(e.angular).all()
+            assert np.isfinite(e.covariance).all()
+    after = [e for e in estimates if e.t_end > end + 300 * NS_PER_MS]
+    errors = [calm.error(e) for e in after]
+    assert all(e.status is Status.OK for e in after)
+    assert np.median(errors) < 2.5
