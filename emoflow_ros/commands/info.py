@@ -3,13 +3,11 @@
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rosbags.highlevel import AnyReader
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
@@ -23,13 +21,13 @@ from emoflow_ros.commands.info_contents import (
     topic_imu,
     topic_truth,
 )
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.commands.info_topics import TopicInfo, inspect_topic, topic_lines
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording
 from emoflow_ros.readers.bag import BagRecording
-from emoflow_ros.readers.bag_files import open_bag, read_messages, serialization
+from emoflow_ros.readers.bag_events import event_connections
+from emoflow_ros.readers.bag_files import Bag, open_bag, read_messages
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
-from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
 
 _EPILOG = """\
 examples:
@@ -41,56 +39,6 @@ _NO_CALIBRATION = (
 )
 # Lidars publish these, too: a topic of them without a single event is no event topic.
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
-
-
-@dataclass
-class TopicInfo:
-    """One stream of events. Times are the sensor's, in seconds; None where there is no event."""
-
-    name: str
-    type: str
-    encoding: str = ""
-    width: int = 0
-    height: int = 0
-    events: int = 0
-    on: int = 0
-    off: int = 0
-    t_first: float | None = None
-    t_last: float | None = None
-    rate: float | None = None  # events/s
-    unsorted: int = 0  # events before the one that precedes them
-    packets: int = 0
-    malformed: int = 0  # packets
-    seq_gaps: int = 0  # packets
-    time_wraps: int = 0
-    triggers: int = 0
-    outside: int = 0  # events
-    skipped: int = 0  # words
-
-    def add(self, events: Events) -> None:
-        """Count the next events."""
-        if len(events) == 0:
-            return
-        t = events.t
-        first, last = int(t[0]) / NS_PER_S, int(t[-1]) / NS_PER_S
-        self.unsorted += int(np.count_nonzero(t[1:] < t[:-1]))
-        self.unsorted += self.t_last is not None and first < self.t_last
-        self.t_first = first if self.t_first is None else self.t_first
-        self.t_last = last
-        self.events += len(events)
-        self.on += int(np.count_nonzero(events.p))
-        self.off = self.events - self.on
-        if self.t_last > self.t_first:
-            self.rate = self.events / (self.t_last - self.t_first)
-
-    def take(self, statistics: Statistics) -> None:
-        """Take over what a decoder has counted."""
-        self.encoding = statistics.encoding
-        self.seq_gaps = statistics.seq_gaps
-        self.time_wraps = statistics.time_wraps
-        self.triggers = statistics.triggers
-        self.outside = statistics.dropped_outside
-        self.skipped = statistics.skipped
 
 
 @dataclass
@@ -157,14 +105,15 @@ def _main(args: argparse.Namespace) -> None:
 def _inspect_bag(path: Path) -> Info:
     info = Info(str(path))
     with open_bag(path) as bag:
+        events = event_connections(bag)
         for name in sorted({c.topic for c in bag.connections}):
             connections = [c for c in bag.connections if c.topic == name]
             ros_type = connections[0].msgtype
             count = sum(c.msgcount for c in connections)
-            if ros_type in supported_types():
-                messages = (data for _, _, data in read_messages(path, bag, connections))
+            if name in events:
+                messages = read_messages(path, bag, events[name])
                 bar = tqdm(messages, name, count, unit="packet", leave=False, disable=None)
-                topic = _inspect_topic(name, ros_type, serialization(bag), bar)
+                topic = inspect_topic(name, events[name], bar)
                 if ros_type != _AMBIGUOUS or topic.malformed < count:
                     info.topics.append(topic)
                     continue
@@ -176,7 +125,7 @@ def _inspect_bag(path: Path) -> Info:
     return info
 
 
-def _is_extra(info: Info, path: Path, bag: AnyReader, name: str) -> bool:
+def _is_extra(info: Info, path: Path, bag: Bag, name: str) -> bool:
     """Add a topic that is truth or an IMU; one that cannot be read is listed as missing."""
     try:
         found = topic_truth(path, bag, name) or topic_imu(path, bag, name)
@@ -188,22 +137,6 @@ def _is_extra(info: Info, path: Path, bag: AnyReader, name: str) -> bool:
     elif found is not None:
         info.imu.append(found)
     return found is not None
-
-
-def _inspect_topic(name: str, ros_type: str, kind: Any, messages: Iterable[bytes]) -> TopicInfo:
-    topic = TopicInfo(name, ros_type)
-    decoder = make_decoder(ros_type, kind)
-    for data in messages:
-        topic.packets += 1
-        try:
-            message = decoder.decode(data)
-        except DecodeError:
-            topic.malformed += 1
-            continue
-        topic.width, topic.height = message.width, message.height
-        topic.add(message.events)
-    topic.take(decoder.statistics)
-    return topic
 
 
 def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
@@ -256,7 +189,7 @@ def _lines(info: Info) -> Iterator[str]:
     yield info.input
     for topic in info.topics:
         yield ""
-        yield from _topic_lines(topic)
+        yield from topic_lines(topic)
     yield from section_lines("truth", [truth.row() for truth in info.truth])
     yield from section_lines("imu", [imu.row() for imu in info.imu])
     if info.other_topics:
@@ -267,32 +200,6 @@ def _lines(info: Info) -> Iterator[str]:
         )
     yield ""
     yield f"missing: {'; '.join(info.missing) or 'nothing'}"
-
-
-def _topic_lines(topic: TopicInfo) -> Iterator[str]:
-    yield f"{topic.name or 'events'}: {topic.type}"
-    rows = [
-        ("encoding", topic.encoding or "-"),
-        ("resolution", f"{topic.width}x{topic.height}" if topic.width else "unknown"),
-        ("events", f"{topic.events} ({topic.on} ON, {topic.off} OFF)"),
-    ]
-    if topic.t_first is not None and topic.t_last is not None:
-        span = f"{topic.t_first:.6f} to {topic.t_last:.6f} s"
-        rows.append(("sensor time", f"{span} ({topic.t_last - topic.t_first:.6f} s)"))
-    if topic.rate is not None:
-        rows.append(("rate", f"{topic.rate:.0f} events/s"))
-    if topic.packets:
-        rows.append(("packets", f"{topic.packets} ({topic.seq_gaps} lost)"))
-    problems = {
-        "malformed packets": topic.malformed,
-        "events out of order": topic.unsorted,
-        "events outside": topic.outside,
-        "words skipped": topic.skipped,
-        "time wraps": topic.time_wraps,
-        "triggers": topic.triggers,
-    }
-    rows += [(name, str(count)) for name, count in problems.items() if count]
-    yield from table_lines(rows)
 
 
 if __name__ == "__main__":

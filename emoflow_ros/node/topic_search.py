@@ -149,7 +149,7 @@ def import_message_type(ros_type: str) -> Any:
     Raises:
         InputError: its package is not installed.
     """
-    package, _, name = ros_type.split("/")
+    package, _, name = [*ros_type.split("/"), "", ""][:3]
     fix = f"build {package} in your workspace"
     if package not in _UNRELEASED:
         fix = f"install ros-jazzy-{package.replace('_', '-')} or {fix}"

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
+from emoflow_ros.readers.bag_files import Bag, deserialize, open_bag, read_messages
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow
 from emoflow_ros.truth.ground_truth import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, Truth, pose_track
 
@@ -49,7 +48,7 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
     return Truth(twists, PropagatedFlow(maps), poses=track)
 
 
-def _choose_poses(path: Path, reader: AnyReader, namespace: str) -> str:
+def _choose_poses(path: Path, reader: Bag, namespace: str) -> str:
     """Choose the camera's topic `pose`, or the only one that the first of these rules leaves.
 
     Topics named `pose`; those in the camera's namespace; PoseStamped; Odometry.
@@ -80,7 +79,7 @@ def _choose_poses(path: Path, reader: AnyReader, namespace: str) -> str:
 
 
 def _choose(
-    path: Path, reader: AnyReader, namespace: str, kind: str, names: tuple[str, ...]
+    path: Path, reader: Bag, namespace: str, kind: str, names: tuple[str, ...]
 ) -> Connection | None:
     """Find the topic `namespace/name`, or the only one whose last part is a name."""
     found = [c for c in reader.connections if c.msgtype == kind]
@@ -95,9 +94,7 @@ def _choose(
     return None
 
 
-def _read_track(
-    path: Path, reader: AnyReader, connections: list[Connection]
-) -> tuple[PoseTrack, str]:
+def _read_track(path: Path, reader: Bag, connections: list[Connection]) -> tuple[PoseTrack, str]:
     """Read the poses of a topic, and say whose they are, unless it is the camera's own."""
     rows = []
     note = "" if connections[0].topic.endswith(f"/{_POSE_NAME}") else TAKEN_AS_CAMERA
@@ -128,7 +125,7 @@ class _DepthImages:
     def __init__(
         self,
         path: Path,
-        reader: AnyReader,
+        reader: Bag,
         connection: Connection,
         camera: Camera,
         stack: ExitStack,

@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo, Imu
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.bag_files import Ros1Converter
+from emoflow_ros.readers.ros1_conversion import Ros1Converter
 from emoflow_ros.simulation.messages import EVENT_ARRAY, ImuSample, MessageEncoder
 
 STAMP = 1_500_000_000_123_456_789

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.readers import bag as bag_reader
-from emoflow_ros.readers import mvsec, open_recording
+from emoflow_ros.readers import bag_events, mvsec, open_recording
 
 START_NS, STEP_NS, COUNT = 1_000_000_000, 1_000_000, 20_000  # 20 s at 1 kHz
 
@@ -77,7 +76,7 @@ def test_rows_before_are_not_read(tmp_path, events, monkeypatch):
 def decoded(monkeypatch):
     """Count the messages that were decoded."""
     count = []
-    make = bag_reader.make_decoder
+    make = bag_events.make_decoder
 
     def counting(*arguments):
         decoder = make(*arguments)
@@ -89,7 +88,7 @@ def decoded(monkeypatch):
 
         return Counting()
 
-    monkeypatch.setattr(bag_reader, "make_decoder", counting)
+    monkeypatch.setattr(bag_events, "make_decoder", counting)
     return count
 
 

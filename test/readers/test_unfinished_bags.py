@@ -73,7 +73,7 @@ def unfinished(bag: Path, length: int) -> Path:
         for name, size in ((b"index_pos=", 8), (b"conn_count=", 4), (b"chunk_count=", 4)):
             at = data.index(name) + len(name)
             data = data[:at] + bytes(size) + data[at + size :]
-    path = bag.with_name(f"cut{bag.suffix}")
+    path = bag.with_name(f"cut_{length}{bag.suffix}")  # each is said once
     path.write_bytes(data)
     return path
 

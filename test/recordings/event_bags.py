@@ -43,7 +43,7 @@ def typestore(ros1: bool):
     return types
 
 
-def _event_array_bytes(events: Events, width: int, height: int, ros1: bool) -> bytes:
+def event_array_bytes(events: Events, width: int, height: int, ros1: bool) -> bytes:
     """Serialise with `struct`, field by field, as the formats are specified."""
     if ros1:
         head = struct.pack("<IIII", 0, 1, 2, 3) + b"cam"
@@ -88,7 +88,7 @@ def write_event_bag(
         for topic in topics:
             connection = writer.add_connection(topic, EVENT_ARRAY, typestore=types)
             for i, events in enumerate(batches):
-                data = _event_array_bytes(events, *size, ros1)
+                data = event_array_bytes(events, *size, ros1)
                 writer.write(connection, log_times[i] if log_times else NS_PER_S + i, data)
         if with_info:
             _write_info(writer, types, topics[0] if topics else "/cam/events", size, ros1)
