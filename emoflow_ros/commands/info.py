@@ -23,11 +23,12 @@ from emoflow_ros.commands.info_contents import (
 )
 from emoflow_ros.commands.info_topics import TopicInfo, inspect_topic, topic_lines
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording
+from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording, unordered
 from emoflow_ros.readers.bag import BagRecording
 from emoflow_ros.readers.bag_events import event_connections
 from emoflow_ros.readers.bag_files import Bag, open_bag, read_messages
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
+from emoflow_ros.readers.stream_check import MAX_UNORDERED_SHARE
 
 _EPILOG = """\
 examples:
@@ -68,6 +69,16 @@ def inspect(path: Path) -> Info:
     if not info.topics:
         info.missing.append("no event topic")
     info.missing += [f"{t.name or 'file'}: no events" for t in info.topics if t.events == 0]
+    info.missing += [
+        f"{t.name}: event time goes back for good: give each part as a recording of its own"
+        for t in info.topics
+        if t.time_jumps
+    ]
+    info.missing += [
+        f"{t.name}: event times are not sorted"
+        for t in info.topics
+        if t.unordered > MAX_UNORDERED_SHARE * (t.events + t.unordered)
+    ]
     info.missing += [f"{t.name}: {problem}" for t in info.truth if (problem := _apart(info, t))]
     return info
 
@@ -181,6 +192,7 @@ def _count_file(recording: Recording) -> TopicInfo:
     topic.width, topic.height = size
     for events in tqdm(recording.event_chunks(), unit="chunk", leave=False, disable=None):
         topic.add(events)
+    topic.unordered = unordered(recording)
     return topic
 
 

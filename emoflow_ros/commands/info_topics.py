@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
 from rosbags.interfaces import Connection
 
 from emoflow_ros.commands.info_contents import table_lines
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.event_order import EventOrder
+from emoflow_ros.core.events import NS_PER_S, Events, TimeJumpError
 from emoflow_ros.readers.bag_events import TopicDecoder
 from msg_adapters import DecodeError, Statistics
 
@@ -27,7 +27,8 @@ class TopicInfo:
     t_first: float | None = None
     t_last: float | None = None
     rate: float | None = None  # events/s
-    unsorted: int = 0  # events before the one that precedes them
+    unordered: int = 0  # events that the estimator leaves out, as they are not in order of time
+    time_jumps: int = 0  # where time goes back for good
     packets: int = 0
     malformed: int = 0  # packets
     seq_gaps: int = 0  # packets
@@ -37,17 +38,14 @@ class TopicInfo:
     skipped: int = 0  # words
 
     def add(self, events: Events) -> None:
-        """Count the next events."""
+        """Count the next events, which are in order of time."""
         if len(events) == 0:
             return
-        t = events.t
-        first, last = int(t[0]) / NS_PER_S, int(t[-1]) / NS_PER_S
-        self.unsorted += int(np.count_nonzero(t[1:] < t[:-1]))
-        self.unsorted += self.t_last is not None and first < self.t_last
+        first, last = int(events.t[0]) / NS_PER_S, int(events.t[-1]) / NS_PER_S
         self.t_first = first if self.t_first is None else self.t_first
         self.t_last = last
         self.events += len(events)
-        self.on += int(np.count_nonzero(events.p))
+        self.on += int(events.p.sum())
         self.off = self.events - self.on
         if self.t_last > self.t_first:
             self.rate = self.events / (self.t_last - self.t_first)
@@ -67,7 +65,7 @@ def inspect_topic(
 ) -> TopicInfo:
     """Decode the messages of a topic, and count."""
     topic = TopicInfo(name, connections[0].msgtype)
-    decoder = TopicDecoder(connections)
+    decoder, order = TopicDecoder(connections), EventOrder()
     for connection, _, data in messages:
         topic.packets += 1
         try:
@@ -76,7 +74,14 @@ def inspect_topic(
             topic.malformed += 1
             continue
         topic.width, topic.height = message.width, message.height
-        topic.add(message.events)
+        try:
+            events = order(message.events)
+        except TimeJumpError:
+            topic.time_jumps += 1
+            order.reset()
+            events = order(message.events)
+        topic.add(events)
+    topic.unordered = order.left_out
     topic.take(decoder.statistics)
     return topic
 
@@ -98,7 +103,8 @@ def topic_lines(topic: TopicInfo) -> Iterator[str]:
         rows.append(("packets", f"{topic.packets} ({topic.seq_gaps} lost)"))
     problems = {
         "malformed packets": topic.malformed,
-        "events out of order": topic.unsorted,
+        "events out of order, left out": topic.unordered,
+        "jumps back in time": topic.time_jumps,
         "events outside": topic.outside,
         "words skipped": topic.skipped,
         "time wraps": topic.time_wraps,

@@ -286,7 +286,7 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
 
 
 def _print_summary(run: Evaluation, report: Report) -> None:
-    print(f"{sum(w.ok for w in run.windows)} of {len(run.windows)} windows estimated")
+    print(run.outcome)
     if run.imu:
         print(f"IMU: {run.imu}; gyro {shares(w.gyro for w in run.windows)}")
     for m in report.measures:

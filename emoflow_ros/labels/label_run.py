@@ -14,9 +14,10 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation.provenance import versions
+from emoflow_ros.evaluation.provenance import fingerprint, versions
 from emoflow_ros.evaluation.recording_options import Source, make_folder
-from emoflow_ros.labels.label_chunks import Chunk, Header, Job, fingerprint, merge
+from emoflow_ros.evaluation.window_run import outcome
+from emoflow_ros.labels.label_chunks import UNORDERED, Chunk, Header, Job, merge
 from emoflow_ros.readers import Recording, require_camera
 
 # Does the jobs and yields each with what `label_chunk` returned, in the order of completion.
@@ -207,11 +208,13 @@ def _finish(plan: RecordingPlan) -> None:
         merge(plan.parts, plan.target)
         with h5py.File(plan.target) as file:
             status = file["status"].asstr()[:]
+            left_out = int(file.attrs[UNORDERED])
     except OSError as error:
         _fail(plan, f"{plan.target}: cannot be written ({error}); give another --out")
         return
     shutil.rmtree(plan.parts[0].parent)
-    tqdm.write(f"{plan.target}: {sum(status == Status.OK)} of {len(status)} windows estimated")
+    said = outcome(sum(status == Status.OK), len(status), left_out)
+    tqdm.write(f"{plan.target}: {said}")
 
 
 def _fail(plan: RecordingPlan, error: str) -> None:

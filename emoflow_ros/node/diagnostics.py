@@ -19,9 +19,11 @@ _LATENCIES_KEPT = 200
 _REFUSALS = {
     "malformed_messages": "malformed messages: check the driver's message version",
     "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
-    "unordered_messages": "messages with event times out of order: check the driver",
+    "unordered_messages": "messages in which event time jumps: check the driver",
+    "events_unordered": "events out of order: check the driver",
     "events_outside": "events outside the calibration's image: give this sensor's calibration",
 }
+_SOME_ARE_USUAL = ("events_outside", "events_unordered")  # glitches of sensors and hosts
 _TOO_FAST = (
     "events come faster than the node decodes them; lower their rate, or give the node more of the "
     "processor"
@@ -34,11 +36,11 @@ _WARNINGS = {
     "messages_skipped": f"messages left out: {_TOO_FAST}",
     "messages_in_part": f"messages decoded in part: {_TOO_FAST}",
     "windows_dropped": "windows dropped: {drop}",
-    **{name: line for name, line in _REFUSALS.items() if name != "events_outside"},
+    **{name: line for name, line in _REFUSALS.items() if name not in _SOME_ARE_USUAL},
     "time_jumps": "jumps in event time: the estimation starts anew",
 }
 _ALSO_COUNTED = (
-    *("messages", "events", "events_thinned", "events_dropped", "events_outside", "seq_gaps"),
+    *("messages", "events", "events_thinned", "events_dropped", "seq_gaps", *_SOME_ARE_USUAL),
     *("internal_errors", "windows", "windows_forgotten", "twists_now"),
 )
 # Parts of the node that can have problems, the costliest first. With a problem of a mild part there

@@ -14,9 +14,16 @@ from emoflow_ros.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.readers.mvsec import MvsecRecording
 from emoflow_ros.readers.npz import NpzRecording
 from emoflow_ros.readers.prophesee_raw import PropheseeRawRecording
-from emoflow_ros.readers.reader_base import Recording, require_camera
+from emoflow_ros.readers.reader_base import Recording, require_camera, unordered
 
-__all__ = ["KNOWN_FORMATS", "READERS", "Recording", "open_recording", "require_camera"]
+__all__ = [
+    "KNOWN_FORMATS",
+    "READERS",
+    "Recording",
+    "open_recording",
+    "require_camera",
+    "unordered",
+]
 # The first whose `matches(path)` holds opens the recording.
 READERS = (
     BagRecording,

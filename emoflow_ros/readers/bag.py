@@ -14,7 +14,8 @@ from emoflow_ros.readers.bag_events import TopicDecoder, choose_events
 from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
 from emoflow_ros.readers.bag_folder import is_bag
 from emoflow_ros.readers.bag_imu import choose_imu, read_imu
-from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, StreamCheck, trimmed
+from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, trimmed
+from emoflow_ros.readers.stream_check import StreamCheck
 from msg_adapters import DecodeError, EventMessage
 
 # The times of these types do not depend on earlier messages.
@@ -40,6 +41,7 @@ class BagRecording:
                 load_calibration(calibration) if calibration else self._camera_beside_events()
             )
             self.duration: float | None = self._bag.duration / NS_PER_S
+            self.check: StreamCheck | None = None
             self._stack = stack.pop_all()
 
     @staticmethod
@@ -58,7 +60,8 @@ class BagRecording:
         check: StreamCheck | None = None
         for _, message in self._decode(start):
             if check is None:
-                check = StreamCheck(self.path, *self._sensor_size(message.width, message.height))
+                size = self._sensor_size(message.width, message.height)
+                self.check = check = StreamCheck(self.path, *size)
             yield check(message.events, message.dropped_outside)
         if check is None:
             raise InputError(self.path, f"no messages on {self.topic}", "record it again")
@@ -78,10 +81,13 @@ class BagRecording:
                 ) from None
 
     def _first_event(self, start: int | None) -> tuple[int, int] | None:
-        """Log and event time of the first event logged at or after a time, ns."""
+        """Log and latest event time of the first events logged at or after a time, ns.
+
+        The latest, since a single one may be too early.
+        """
         for logged, message in self._decode(start):
             if len(message.events):
-                return logged, int(message.events.t[0])
+                return logged, int(message.events.t.max())
         return None
 
     def imu(self, topic: str | None = None) -> Imu | None:

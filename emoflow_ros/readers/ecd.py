@@ -18,12 +18,12 @@ from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.reader_base import (
     Imu,
-    StreamCheck,
     pixel_coordinates,
     refuse_imu_topic,
     to_ns,
     trimmed,
 )
+from emoflow_ros.readers.stream_check import StreamCheck
 
 _EVENTS = "events.txt"
 IMU_FILE = "imu.txt"
@@ -55,6 +55,7 @@ class EcdRecording:
         self._file = self.path / _EVENTS
         self.file_name = _EVENTS
         self.duration: float | None = self._measure()
+        self.check: StreamCheck | None = None
 
     @staticmethod
     def matches(path: Path) -> bool:
@@ -69,7 +70,7 @@ class EcdRecording:
         """Read from the line on that begins at a byte."""
         camera = self.camera
         size = (camera.width, camera.height) if camera else (_OUTSIDE, _OUTSIDE)
-        check = StreamCheck(self._file, *size)
+        self.check = check = StreamCheck(self._file, *size)
         with self._file.open("rb") as lines:
             lines.seek(start)
             while text := lines.read(_CHUNK_BYTES):

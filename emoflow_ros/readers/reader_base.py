@@ -1,4 +1,4 @@
-"""What every reader offers, and the checks that all readers share."""
+"""What every reader offers, and what all readers share."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
@@ -14,10 +14,8 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.stream_check import StreamCheck
 
-# A few events outside are a sensor's glitch; more than this share tells of another sensor.
-MAX_OUTSIDE_SHARE = 0.01
-_MIN_JUDGED = 1000
 _FURTHEST_NS = 9e18
 ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
 
@@ -58,22 +56,26 @@ class Recording(Protocol):
         topic: the event topic or data set inside it; empty where there is only one.
         camera: the calibrated camera; None where neither the recording nor a file gives one.
         duration: length in seconds, for progress; None where only reading would tell.
+        check: of the latest reading of events; None before the first.
     """
 
     path: Path
     topic: str
     camera: Camera | None
     duration: float | None
+    check: StreamCheck | None
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events in order of time, in chunks that fit in memory.
+
+        Single events that are not in order are left out and counted, see `EventOrder`.
 
         Args:
             since: leave out the events before this time, ns. Formats that can be entered in the
                 middle are not read from the start then.
 
         Raises:
-            InputError: damaged data, times that go backwards, events outside the sensor.
+            InputError: damaged data, times that go back for good, events outside the sensor.
         """
         ...
 
@@ -158,81 +160,9 @@ def require_camera(recording: Recording) -> Camera:
     return recording.camera
 
 
-class StreamCheck:
-    """Check chunk after chunk of a stream: order of time, and events outside the sensor.
-
-    Args:
-        path: what to name in errors.
-        width, height: the sensor in px.
-    """
-
-    def __init__(self, path: Path, width: int, height: int) -> None:
-        self._path = path
-        self._width = width
-        self._height = height
-        self._last: int | None = None
-        self.seen = 0
-        self.outside = 0
-
-    def __call__(self, events: Events, dropped: int = 0) -> Events:
-        """Return the chunk without the events outside the sensor.
-
-        Args:
-            events: the next chunk.
-            dropped: events outside the sensor that the decoder has already left out.
-
-        Raises:
-            InputError: time goes backwards, or too many events are outside.
-        """
-        inside = events.inside(self._width, self._height)
-        if not inside.all():
-            dropped += int((~inside).sum())
-            events = events[inside]
-        self.seen += len(events) + dropped
-        self.outside += dropped
-        if self.seen >= _MIN_JUDGED:
-            self._judge_outside()
-        self._check_order(events)
-        return events
-
-    def finish(self) -> None:
-        """Check the stream as a whole, at its end.
-
-        Raises:
-            InputError: no events at all, or too many outside.
-        """
-        if self.seen == 0:
-            raise InputError(self._path, "holds no events", "give a recording that has some")
-        self._judge_outside()
-
-    def _judge_outside(self) -> None:
-        if self.outside > MAX_OUTSIDE_SHARE * self.seen:
-            raise InputError(
-                self._path,
-                f"{self.outside} of {self.seen} events lie outside the "
-                f"{self._width}x{self._height} sensor",
-                "give the calibration of the sensor that recorded it",
-            )
-
-    def _check_order(self, events: Events) -> None:
-        if len(events) == 0:
-            return
-        last = int(events.t[0]) if self._last is None else self._last
-        backwards = events.t[1:] < events.t[:-1]
-        if events.t[0] < last:
-            self._refuse_order(last, int(events.t[0]))
-        if backwards.any():
-            i = int(backwards.argmax())
-            self._refuse_order(int(events.t[i]), int(events.t[i + 1]))
-        self._last = int(events.t[-1])
-
-    def _refuse_order(self, before: int, after: int) -> None:
-        raise InputError(
-            self._path,
-            f"event times are not sorted ({after / NS_PER_S:.6f} s follows "
-            f"{before / NS_PER_S:.6f} s)",
-            "sort the events by time",
-        )
+def unordered(recording: Recording) -> int:
+    """How many events the latest reading of a recording has left out as not in order of time."""
+    return recording.check.order.left_out if recording.check else 0
 
 
 class FileRecording:
@@ -254,6 +184,7 @@ class FileRecording:
         self.file_name = path.name
         self.camera = load_calibration(calibration) if calibration else None
         self.duration: float | None = None
+        self.check: StreamCheck | None = None
         self.size = (0, 0)
         self.stack = ExitStack()
 
@@ -279,7 +210,7 @@ class FileRecording:
         Raises:
             InputError: the calibration is of another size, or see StreamCheck.
         """
-        check = StreamCheck(self.path, *self._sensor_size())
+        self.check = check = StreamCheck(self.path, *self._sensor_size())
         yield from trimmed(map(check, chunks), since)
         check.finish()
 

@@ -37,7 +37,9 @@ _SEEN_HIGH, _SEEN_LOW, _SEEN_ROW, _SEEN_BASE = 1, 2, 4, 8
 _ADDRESSABLE = _SEEN_HIGH | _SEEN_LOW | _SEEN_ROW
 
 _WRAP_US = 1 << 24
-# The high time of real sensors goes back a little at times without having wrapped.
+# The high time of real sensors goes back at times without having wrapped. After a gap it may be
+# any, so that only a small step back is no wrap.
+_STEP_BACK_US = _WRAP_US // 2
 _JITTER_US = 10 << 12
 _END_OF_ROW = np.int64(
     1 << 11
@@ -110,12 +112,16 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
             row = word & 0x7FF if kind == _ADDR_Y else row
             low = word & 0xFFF if kind == _TIME_LOW else low
             high = (last & -_WRAP_US) | (word & 0xFFF) << 12 if kind == _TIME_HIGH else last
+            most = _STEP_BACK_US if known & _SEEN_HIGH else _JITTER_US
             known |= _SEEN_ROW if kind == _ADDR_Y else 0
             known |= _SEEN_LOW if kind == _TIME_LOW and known & _SEEN_HIGH else 0
             known |= _SEEN_HIGH if kind == _TIME_HIGH else 0
-            if last - high > _JITTER_US:
+            if last - high > most:
                 high += _WRAP_US
                 wraps += 1
+            elif high - last > _WRAP_US - _JITTER_US and last >= _WRAP_US:  # back over the wrap
+                high -= _WRAP_US
+                wraps -= 1
         elif kind == _VECT_BASE_X:
             base = word & 0x7FF
             on = word & 0x800

@@ -37,7 +37,7 @@ def test_bag(tmp_path, storage, make_events, write_event_bag):
     assert (topic.events, topic.on, topic.off) == (101, 51, 50)
     assert (topic.t_first, topic.t_last) == (1.0, 1.1)
     assert topic.rate == pytest.approx(1010)
-    assert (topic.packets, topic.malformed, topic.unsorted, topic.outside) == (2, 0, 0, 0)
+    assert (topic.packets, topic.malformed, topic.unordered, topic.outside) == (2, 0, 0, 0)
     assert info.other_topics == [
         {"name": "/cam/camera_info", "type": "sensor_msgs/msg/CameraInfo", "messages": 1}
     ]
@@ -54,11 +54,12 @@ def test_what_is_missing_and_what_is_wrong(tmp_path, make_events, write_event_ba
     info = inspect(path)
     assert [t.name for t in info.topics] == list(topics)
     for topic in info.topics:
-        assert topic.unsorted == 1
+        assert topic.unordered == np.count_nonzero(events.x[:50] < 20)
         assert topic.outside == np.count_nonzero(events.x >= 20)
-        assert topic.events == 100 - topic.outside
+        assert topic.events == 100 - topic.outside - topic.unordered
     assert [line.partition(": give")[0] for line in info.missing] == [
-        f"{t}: no calibration" for t in topics
+        *(f"{t}: no calibration" for t in topics),
+        *(f"{t}: event times are not sorted" for t in topics),
     ]
 
 

@@ -245,7 +245,7 @@ def test_recordings_that_fail_do_not_cost_the_others(monkeypatch, tmp_path, ecd,
     """Missing; without calibration; too short; damaged where only one of its chunks sees it."""
     monkeypatch.setattr("emoflow_ros.readers.ecd._CHUNK_BYTES", 400)
     times = 1 + np.arange(3000) / 1000
-    times[500] = 1.2
+    times[500:700] -= 1
     bad = ecd("unsorted", times=times), ecd("short", seconds=0.04), tmp_path / "none", ecd("blind")
     (bad[3] / "calib.txt").unlink()
     assert call(monkeypatch, tmp_path / "out", ecd("a"), *bad, ecd("b")) == 1
@@ -253,7 +253,12 @@ def test_recordings_that_fail_do_not_cost_the_others(monkeypatch, tmp_path, ecd,
     shown = capsys.readouterr().err
     assert "4 of 6 recordings could not be labelled:" in shown
     listed = shown.partition("could not be labelled:")[2]
-    reasons = ("not sorted", "39.0 ms, less than one window", "no such file", "no camera")
+    reasons = (
+        "goes back for good (0.500000 s follows 1.499000 s)",
+        "39.0 ms, less than one window",
+        "no such file",
+        "no camera",
+    )
     for path, reason in zip(bad, reasons, strict=True):
         (line,) = [line for line in listed.splitlines() if line.startswith(f"  {path}: ")]
         assert reason in line

@@ -1,0 +1,172 @@
+"""Events out of order in recordings: left out and counted by every command, of every format."""
+
+import json
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from event_bags import make_events, write_event_bag
+
+from emoflow_ros.commands.info import inspect
+from emoflow_ros.core.events import Events
+from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.labels import label_command
+from emoflow_ros.readers import open_recording, unordered
+
+COUNT = 3000  # at 1 kHz
+WRONG = [77, 500, 1999, 2998]
+CALIBRATION = """image_width: 32
+image_height: 24
+camera_name: camera
+camera_matrix: {rows: 3, cols: 3, data: [20.0, 0, 16, 0, 20, 12, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
+"""
+
+
+@pytest.fixture
+def events() -> Events:
+    """Four single events too early, by 20 us to 1 s beyond the one before them."""
+    events = make_events(COUNT)
+    events.t[WRONG] -= np.array([1_020_000, 5_000_000, 100_000_000, 1_000_000_000])
+    return events
+
+
+def batches(events: Events) -> list[Events]:
+    return [events[k : k + 100] for k in range(0, len(events), 100)]
+
+
+def write_bag(storage: str):
+    def write(folder: Path, events: Events) -> Path:
+        path = folder / ("a.bag" if storage == "ros1" else "a")
+        times = [int(events.t[0]) + k * 100_000_000 for k in range(len(events) // 100)]
+        return write_event_bag(path, batches(events), storage=storage, log_times=times)
+
+    return write
+
+
+def write_npz(folder: Path, events: Events) -> Path:
+    np.savez(folder / "a.npz", x=events.x, y=events.y, t_ns=events.t, p=events.p)
+    return folder / "a.npz"
+
+
+def write_ecd(folder: Path, events: Events) -> Path:
+    rows = zip(events.t / 1e9, events.x, events.y, events.p, strict=True)
+    (folder / "events.txt").write_text("".join(f"{t:.9f} {x} {y} {p:d}\n" for t, x, y, p in rows))
+    return folder / "events.txt"
+
+
+def write_hdf5(folder: Path, events: Events) -> Path:
+    with h5py.File(folder / "a.h5", "w") as file:
+        for name, column in (("x", events.x), ("y", events.y), ("p", events.p)):
+            file[f"events/{name}"] = column
+        file["events/t"] = events.t
+        file["events/t"].attrs["unit"] = "ns"
+    return folder / "a.h5"
+
+
+def write_mvsec(folder: Path, events: Events) -> Path:
+    with h5py.File(folder / "a_data.hdf5", "w") as file:
+        table = [events.x, events.y, events.t / 1e9, np.where(events.p, 1, -1)]
+        file["davis/left/events"] = np.stack(table, axis=1)
+    return folder / "a_data.hdf5"
+
+
+WRITERS = {
+    "ros1": write_bag("ros1"),
+    "sqlite3": write_bag("sqlite3"),
+    "mcap": write_bag("mcap"),
+    "npz": write_npz,
+    "ecd": write_ecd,
+    "hdf5": write_hdf5,
+    "mvsec": write_mvsec,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_readers_leave_them_out_and_count_them(tmp_path, events, name):
+    path = WRITERS[name](tmp_path, events)
+    with open_recording(path) as recording:
+        assert unordered(recording) == 0
+        read = Events.concatenate(list(recording.event_chunks()))
+        assert unordered(recording) == 4
+    expected = np.delete(events.t, WRONG)
+    np.testing.assert_allclose(read.t, expected, atol=0 if name != "mvsec" else 1000)
+    np.testing.assert_array_equal(read.x, np.delete(events.x, WRONG))
+    [topic] = inspect(path).topics
+    assert (topic.events, topic.unordered, topic.time_jumps) == (COUNT - 4, 4, 0)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_recording_that_goes_back_for_good_is_refused(tmp_path, name):
+    """Two runs in one file."""
+    both = Events.concatenate([make_events(1000, start_s=5), make_events(1000, start_s=4.5)])
+    path = WRITERS[name](tmp_path, both)
+    with open_recording(path) as recording, pytest.raises(InputError) as caught:
+        list(recording.event_chunks())
+    said = "event time goes back for good (4.500000 s follows 5.999000 s): the sensor's clock or"
+    assert said in str(caught.value)
+    assert str(caught.value).endswith("; give each part as a recording of its own")
+    if name in ("ros1", "sqlite3", "mcap"):
+        info = inspect(path)
+        assert (info.topics[0].time_jumps, info.topics[0].events) == (1, 1900)
+        assert any("event time goes back for good: give each part" in m for m in info.missing)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_recording_that_is_not_sorted_is_refused(tmp_path, name):
+    events = make_events(1000)
+    shuffled = np.arange(1000).reshape(-1, 20)[:, ::-1].ravel()  # each 20 ms backwards
+    with (
+        open_recording(WRITERS[name](tmp_path, events[shuffled])) as recording,
+        pytest.raises(
+            InputError, match=r"not sorted \(1.018000 s follows 1.019000 s, and 950 of 10"
+        ),
+    ):
+        list(recording.event_chunks())
+
+
+@pytest.mark.parametrize(("file", "wrong"), [("one_back_99ms.bag", 1), ("four_back_1s.bag", 2)])
+def test_field_recordings(shared_data, file, wrong):
+    path = shared_data / "field" / file
+    with open_recording(path) as recording:
+        read = Events.concatenate(list(recording.event_chunks()))
+        assert (len(read), unordered(recording)) == (28366 - wrong, wrong)
+    assert (np.diff(read.t) >= 0).all()
+    [topic] = inspect(path).topics
+    assert (topic.events, topic.unordered) == (28366 - wrong, wrong)
+
+
+@pytest.fixture
+def calibration(tmp_path) -> Path:
+    path = tmp_path / "camera.yaml"
+    path.write_text(CALIBRATION)
+    return path
+
+
+def test_evaluate_and_its_report_say_how_many(
+    tmp_path, events, calibration, monkeypatch, capsys, without_page
+):
+    path = write_npz(tmp_path, events)
+    arguments = ["evaluate", path, "--calib", calibration, "--out", tmp_path / "out"]
+    monkeypatch.setattr(sys, "argv", list(map(str, arguments)))
+    assert evaluate_command.main() in (0, 1)
+    assert "windows estimated, 4 events out of order left out\n" in capsys.readouterr().out
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["events_unordered"] == 4
+
+
+@pytest.mark.parametrize("chunk_s", [0.4, 30])
+def test_labels_say_how_many_however_they_are_divided(
+    tmp_path, events, calibration, monkeypatch, capsys, chunk_s
+):
+    path = write_bag("mcap")(tmp_path, events)
+    arguments = ["label", path, "--calib", calibration, "--out", tmp_path, "--chunk-s", chunk_s]
+    monkeypatch.setattr(sys, "argv", list(map(str, [*arguments, "--window-ms", 100])))
+    assert label_command.main() == 0
+    assert "windows estimated, 3 events out of order left out" in capsys.readouterr().out
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert file.attrs["events_unordered"] == 3  # the last one is behind the last window
