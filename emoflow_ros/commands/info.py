@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rosbags.interfaces import Connection
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
@@ -25,7 +26,7 @@ from emoflow_ros.commands.info_topics import TopicInfo, inspect_topic, topic_lin
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording, unordered
 from emoflow_ros.readers.bag import BagRecording
-from emoflow_ros.readers.bag_events import event_connections
+from emoflow_ros.readers.bag_events import TopicDecoder, event_connections
 from emoflow_ros.readers.bag_files import Bag, open_bag, read_messages
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.readers.stream_check import MAX_UNORDERED_SHARE
@@ -67,7 +68,7 @@ def inspect(path: Path) -> Info:
     """
     info = _inspect_bag(path) if BagRecording.matches(path) else _inspect_file(path)
     if not info.topics:
-        info.missing.append("no event topic")
+        info.missing.append("no topic of a known event type")
     info.missing += [f"{t.name or 'file'}: no events" for t in info.topics if t.events == 0]
     info.missing += [
         f"{t.name}: event time goes back for good: give each part as a recording of its own"
@@ -121,10 +122,10 @@ def _inspect_bag(path: Path) -> Info:
             connections = [c for c in bag.connections if c.topic == name]
             ros_type = connections[0].msgtype
             count = sum(c.msgcount for c in connections)
-            if name in events:
+            if decoder := _decoder(info, events.get(name, [])):
                 messages = read_messages(path, bag, events[name])
                 bar = tqdm(messages, name, count, unit="packet", leave=False, disable=None)
-                topic = inspect_topic(name, events[name], bar)
+                topic = inspect_topic(name, ros_type, decoder, bar)
                 if ros_type != _AMBIGUOUS or topic.malformed < count:
                     info.topics.append(topic)
                     continue
@@ -134,6 +135,15 @@ def _inspect_bag(path: Path) -> Info:
         f"{t.name}: {problem}" for t in info.topics if (problem := _calibration_problem(path, t))
     ]
     return info
+
+
+def _decoder(info: Info, connections: list[Connection]) -> TopicDecoder | None:
+    """Make the decoder of an event topic; what cannot be decoded is listed as missing."""
+    try:
+        return TopicDecoder(connections) if connections else None
+    except InputError as error:
+        info.missing.append(str(error))
+        return None
 
 
 def _is_extra(info: Info, path: Path, bag: Bag, name: str) -> bool:

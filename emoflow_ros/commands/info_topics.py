@@ -61,11 +61,13 @@ class TopicInfo:
 
 
 def inspect_topic(
-    name: str, connections: list[Connection], messages: Iterable[tuple[Connection, int, bytes]]
+    name: str,
+    ros_type: str,
+    decoder: TopicDecoder,
+    messages: Iterable[tuple[Connection, int, bytes]],
 ) -> TopicInfo:
     """Decode the messages of a topic, and count."""
-    topic = TopicInfo(name, connections[0].msgtype)
-    decoder, order = TopicDecoder(connections), EventOrder()
+    topic, order = TopicInfo(name, ros_type), EventOrder()
     for connection, _, data in messages:
         topic.packets += 1
         try:

@@ -19,8 +19,8 @@ _GRACE_S = 5.0
 
 _EPILOG = """\
 topics in:
-  events       dvs_msgs or prophesee_event_msgs EventArray, event_camera_msgs/EventPacket,
-               event_array_msgs/EventArray (older drivers),
+  events       dvs_msgs, prophesee_event_msgs or dv_ros2_msgs EventArray,
+               event_camera_msgs/EventPacket, event_array_msgs/EventArray (older drivers),
                sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
                the node's namespace is taken; PointCloud2 must be remapped
   camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped

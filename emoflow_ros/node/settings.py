@@ -71,7 +71,7 @@ class InputOptions:
         if self.type and self.type not in supported_types():
             raise InputError(
                 "input.type",
-                f"messages of type '{self.type}' hold no events",
+                f"there is no decoder for messages of type '{self.type}'",
                 f"use one of {', '.join(supported_types())}",
             )
 

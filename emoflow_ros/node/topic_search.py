@@ -18,7 +18,7 @@ SETTLING_S = 1.0
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
 # Message packages that have no Debian package for Jazzy.
-_UNRELEASED = ("dvs_msgs", "event_array_msgs", "prophesee_event_msgs")
+_UNRELEASED = ("dv_ros2_msgs", "dvs_msgs", "event_array_msgs", "prophesee_event_msgs")
 
 
 @dataclass(frozen=True, order=True)
@@ -172,7 +172,7 @@ def _supported(name: str, ros_type: str) -> str:
     if ros_type not in supported_types():
         raise InputError(
             name,
-            f"messages of type {ros_type} hold no events",
+            f"there is no decoder for messages of type {ros_type}",
             f"give a topic of one of {', '.join(supported_types())}",
         )
     return ros_type

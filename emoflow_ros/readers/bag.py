@@ -17,9 +17,10 @@ from emoflow_ros.readers.bag_imu import choose_imu, read_imu
 from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, trimmed
 from emoflow_ros.readers.stream_check import StreamCheck
 from msg_adapters import DecodeError, EventMessage
+from msg_adapters.formats import event_array
 
 # The times of these types do not depend on earlier messages.
-_STANDALONE = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
+_STANDALONE = event_array.TYPES
 
 _SLACK_S = (1, 10, 100)  # log times follow event times at about a constant distance
 

@@ -8,7 +8,17 @@ from rosbags.interfaces import Connection
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.bag_files import Bag, serialization
-from msg_adapters import Decoder, EventMessage, Statistics, make_decoder, supported_types
+from emoflow_ros.readers.event_definition import other_layout
+from msg_adapters import (
+    DecodeError,
+    Decoder,
+    EventMessage,
+    Statistics,
+    make_decoder,
+    supported_types,
+)
+from msg_adapters.defined_arrays import DefinedArrayDecoder
+from msg_adapters.formats import event_array
 
 
 class TopicDecoder:
@@ -16,6 +26,9 @@ class TopicDecoder:
 
     Args:
         connections: of the topic, as `event_connections` gives them.
+
+    Raises:
+        InputError: a type whose definition is not understood.
     """
 
     def __init__(self, connections: list[Connection]) -> None:
@@ -43,9 +56,25 @@ class TopicDecoder:
 
 
 def _decoder(connection: Connection) -> Decoder:
+    """Make the decoder of a connection.
+
+    Raises:
+        InputError: its type has another definition than today's, which is not understood.
+    """
     kind = serialization(connection)
     assert kind is not None
-    return make_decoder(connection.msgtype, kind)
+    decoder = make_decoder(connection.msgtype, kind)
+    if connection.msgtype not in event_array.TYPES:
+        return decoder
+    try:
+        layout = other_layout(connection)
+        if layout is not None and kind != "ros1":
+            raise DecodeError("its definition is not today's")
+    except DecodeError as error:
+        raise InputError(
+            connection.topic, f"{connection.msgtype} cannot be decoded: {error}", "convert the bag"
+        ) from None
+    return decoder if layout is None else DefinedArrayDecoder(layout)
 
 
 def event_connections(bag: Bag) -> dict[str, list[Connection]]:
@@ -75,9 +104,10 @@ def choose_events(path: Path, bag: Bag, topic: str | None) -> list[Connection]:
             path, f"{len(known)} event topics: {', '.join(sorted(known))}", "choose with --topic"
         )
     else:
-        wrong = "no event topic"
+        wrong = "no topic of a known event type"
     there = ", ".join(sorted(set(_described(bag))))
-    fix = f"give one of {', '.join(sorted(known))}" if known else "give a bag with events"
+    types = f"topics of the types {', '.join(supported_types())} can be decoded"
+    fix = f"give one of {', '.join(sorted(known))}" if known else types
     raise InputError(path, f"{wrong}; it holds {there or 'no topics'}", fix)
 
 

@@ -67,7 +67,7 @@ def test_bag_without_events(tmp_path, write_event_bag):
     path = write_event_bag(tmp_path / "a.bag", [], topics=())
     info = inspect(path)
     assert info.topics == []
-    assert info.missing == ["no event topic"]
+    assert info.missing == ["no topic of a known event type"]
     path = write_event_bag(tmp_path / "b.bag", [Events.empty()])
     info = inspect(path)
     assert info.topics[0].t_first is None

@@ -139,8 +139,12 @@ def test_others_are_the_event_topics_besides_the_one_taken() -> None:
     ("topics", "kwargs", "match"),
     [
         ({"/a": DVS, "/b": DVS}, {}, "2 event topics: /a, /b; choose with .* events:=/a"),
-        ({"/imu": "sensor_msgs/msg/Imu"}, {"events": "/imu"}, "hold no events"),
-        ({}, {"wanted_type": "odd_msgs/msg/Odd"}, "hold no events"),
+        (
+            {"/imu": "sensor_msgs/msg/Imu"},
+            {"events": "/imu"},
+            "there is no decoder for messages of type",
+        ),
+        ({}, {"wanted_type": "odd_msgs/msg/Odd"}, "there is no decoder for messages of type"),
     ],
 )
 def test_what_cannot_be_decided_is_asked(

@@ -102,7 +102,9 @@ def test_one_topic_of_both_worlds(tmp_path):
 def test_event_type_in_another_encoding_is_no_event_topic(tmp_path):
     topic = CDR._replace(schema=(EVENT_ARRAY, "jsonschema", "{}"), encoding="json")
     path = write_mcap(tmp_path / "a.mcap", [topic], [(0, TIME, b"{}")])
-    with pytest.raises(InputError, match=r"no event topic; it holds /cam/events \(dvs_msgs"):
+    with pytest.raises(
+        InputError, match=r"no topic of a known event type; it holds /cam/events \(dvs_msgs"
+    ):
         read(path)
 
 

@@ -118,7 +118,9 @@ def test_database_without_tables(tmp_path):
 
 def test_bag_without_an_event_topic_lists_what_is_there(tmp_path, write_event_bag):
     path = write_event_bag(tmp_path / "a.bag", [], topics=())
-    assert_refused(path, "no event topic", "/cam/camera_info (sensor_msgs/msg/CameraInfo)")
+    assert_refused(
+        path, "no topic of a known event type", "/cam/camera_info (sensor_msgs/msg/CameraInfo)"
+    )
 
 
 def test_two_event_topics_ask_for_one(tmp_path, make_events, write_event_bag):
