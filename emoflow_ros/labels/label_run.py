@@ -202,7 +202,10 @@ def _jobs(plans: list[RecordingPlan]) -> Iterator[Job]:
 
 def _finish(plan: RecordingPlan) -> None:
     """Join the chunks of a recording, if that is not done yet, and remove them."""
-    if plan.error or not plan.parts:
+    if plan.error:
+        return
+    if not plan.parts:
+        tqdm.write(f"{plan.target}: there already")
         return
     try:
         merge(plan.parts, plan.target)

@@ -169,10 +169,11 @@ def read_messages(
     With `start` only what was logged at or after that time, ns.
 
     Raises:
-        InputError: damaged data, or no message although the bag says that there are some.
+        InputError: damaged data, or no message of a connection although the bag says that there
+            are some.
     """
     messages = bag.messages(connections, start)
-    is_empty = True
+    seen: set[int] = set()
     while True:
         try:
             item = next(messages)
@@ -180,11 +181,11 @@ def read_messages(
             break
         except Exception as error:
             _refuse(path, error, _REPAIR[bag.kind])
-        is_empty = False
+        seen.add(item[0].id)
         yield item
-    count = sum(c.msgcount for c in connections)
-    if is_empty and count and start is None:
-        topics = ", ".join(sorted({c.topic for c in connections}))
+    lost = [c for c in connections if c.msgcount and c.id not in seen]
+    if lost and start is None:
+        topics, count = ", ".join(sorted({c.topic for c in lost})), sum(c.msgcount for c in lost)
         raise InputError(
             path,
             f"damaged bag (it says that it holds {count} messages on {topics}, and none is there)",

@@ -42,3 +42,20 @@ def test_times_that_no_clock_shows_are_refused(time: float) -> None:
     assert to_ns(Path("a"), np.array([1.5])).tolist() == [1_500_000_000]
     with pytest.raises(InputError, match=r"^a: event times that are not finite"):
         to_ns(Path("a"), np.array([1.5, time]))
+
+
+@pytest.mark.timeout(300)
+def test_recordings_with_one_change_give_the_right_events() -> None:
+    command = [sys.executable, SCRIPT.with_name("fuzz_variants.py"), "--runs", str(FILES)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    found = re.findall(r"^== (\S+): (\d+) recordings$", ran.stdout, re.MULTILINE)
+    kinds = [
+        "mcap_index",
+        "mcap_profile",
+        "early_events",
+        "lost_words",
+        "active_bag",
+        "moved_files",
+    ]
+    assert found == [(kind, str(FILES)) for kind in kinds]

@@ -110,16 +110,18 @@ def test_event_type_in_another_encoding_is_no_event_topic(tmp_path):
 
 def test_messages_that_are_announced_and_not_there(tmp_path):
     """The statistics count messages of a channel that no chunk holds."""
-    path = write_mcap(
-        tmp_path / "a.mcap", [CDR, OTHER], event_messages(), McapLayout(message_index=False)
-    )
-    data = path.read_bytes()  # all 13 are announced of the other channel
-    at = data.rindex(b"\x01\0" + (13).to_bytes(8, "little"))
-    path.write_bytes(data[:at] + b"\x02" + data[at + 1 :])
-    with open_bag(path) as bag:
-        clock = [c for c in bag.connections if c.topic == "/clock"]
-        with pytest.raises(InputError, match="says that it holds 13 messages on /clock, and none"):
-            list(read_messages(path, bag, clock))
+    clock = [(1, TIME * i, b"\0\1\0\0" + bytes(8)) for i in range(1, 14)]
+    path = write_mcap(tmp_path / "a.mcap", [CDR, OTHER], clock, McapLayout(message_index=False))
+    data = path.read_bytes()  # all 13 are announced of the events
+    at = data.rindex(b"\x02\0" + (13).to_bytes(8, "little"))
+    path.write_bytes(data[:at] + b"\x01" + data[at + 1 :])
+    said = "damaged bag .it says that it holds 13 messages on /cam/events, and none is there"
+    with open_bag(path) as bag, pytest.raises(InputError, match=said):
+        list(read_messages(path, bag, bag.connections))
+    with pytest.raises(InputError, match=said):
+        read(path)
+    with pytest.raises(InputError, match=said):
+        inspect(path)
 
 
 @pytest.mark.parametrize("name", ["a_chunk_index_only", "b_ros1_profile", "h_empty_profile"])
