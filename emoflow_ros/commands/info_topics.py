@@ -1,6 +1,7 @@
 """A stream of events as the command `info` describes it."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 from rosbags.interfaces import Connection
@@ -77,12 +78,12 @@ def inspect_topic(
             continue
         topic.width, topic.height = message.width, message.height
         try:
-            events = order(message.events)
+            topic.add(order(message.events))
         except TimeJumpError:
             topic.time_jumps += 1
             order.reset()
-            events = order(message.events)
-        topic.add(events)
+            with suppress(TimeJumpError):  # of a message that belongs to both parts
+                topic.add(order(message.events))
     topic.unordered = order.left_out
     topic.take(decoder.statistics)
     return topic

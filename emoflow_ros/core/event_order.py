@@ -1,4 +1,4 @@
-"""Events of a stream in order of time: single ones that are too early or too late are left out.
+"""Events of a stream in order of time: those that are too early or too late are left out.
 
 USB hiccups, jitter of a sensor's clock and words that are lost inside a packet give some events a
 time that is none of theirs. Time that goes back and goes on from there is another matter: the
@@ -7,39 +7,44 @@ sensor's clock, or the recording, has started anew.
 
 import numpy as np
 from numba import njit, types
+from numpy.typing import NDArray
 
 from emoflow_ros.core.events import NS_PER_MS, Events, TimeJumpError
 
-# So many events that stay back for so long, by their own times, are of a time that began anew.
+# So many events behind one another that are not in order, for so long by their own times, are of a
+# time that has started anew. Those of a hiccup do not go on like this, or end sooner.
 _MANY = 10
 FOR_GOOD_NS = 100 * NS_PER_MS
-_SHORT_NS = FOR_GOOD_NS // 2
+_STEP_NS = FOR_GOOD_NS // 2  # a larger step of time ends what belongs together
 _NEVER = -(1 << 62)
 
 _TIMES = types.Array(types.int64, 1, "C", readonly=True)
-_FOUND = types.Tuple((types.int64, types.int64, types.int64, types.int64))
 
 
 class EventOrder:
     """Passes on the events of a stream, so that their times never decrease.
 
-    An event that is earlier than one before it is left out. Where the events that are later than
-    what follows are fewer than that, and of less than 50 ms, these are left out instead.
+    Of the events given at once as many as possible are passed on; the others are left out. Of two
+    that do not fit together it is the earlier time that is left out, and always an event that is
+    earlier than one passed on before.
 
     Attributes:
         left_out: events so far.
-        last: time of the last event that was passed on, ns; None before the first.
+        gaps: (K,) int64 ns, of the K events that the last call has left out: when, by the time
+            of the event passed on before each.
         first_disorder: (time before, time behind), ns, of the first step back; None without one.
     """
 
     def __init__(self) -> None:
         self.left_out = 0
+        self.gaps: NDArray[np.int64] = np.empty(0, np.int64)
         self.first_disorder: tuple[int, int] | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forget the times, for example after a jump, but not the counts."""
-        self._last, self._run, self._run_first = _NEVER, 0, 0
+        self._last = _NEVER
+        self._run = np.array([0, 0, 0], np.int64)  # left out: how many, time of first and last
 
     @property
     def last(self) -> int | None:
@@ -52,91 +57,117 @@ class EventOrder:
         Raises:
             TimeJumpError: time went back for good. Nothing of `events` is taken then.
         """
-        t = events.t
+        t = np.ascontiguousarray(events.t)
+        self.gaps = self.gaps[:0]
         if len(t) == 0:
             return events
-        if t[0] >= self._last and not (t[1:] < t[:-1]).any():
-            self._last, self._run = int(t[-1]), 0
+        run = self._run.copy()
+        keep = self._sift(t, run)
+        self._run = run
+        if keep is None:
+            self._last = int(t[-1])
             return events
-        self._note(events)
-        keep = np.zeros(len(t), np.bool_)
-        state = self._last, self._run, self._run_first
-        last, run, run_first, jump = _sift(np.ascontiguousarray(t), *state, keep)
-        if jump >= 0:
-            raise TimeJumpError(last, run_first)
-        self._last, self._run, self._run_first = last, run, run_first
-        kept = events[keep]
-        self.left_out += len(events) - len(kept)
-        return kept
+        self._note(t)
+        before = np.maximum.accumulate(np.where(keep, t, self._last))
+        self.gaps = before[~keep]
+        self._last = int(before[-1])
+        self.left_out += len(self.gaps)
+        return events[keep]
 
-    def _note(self, events: Events) -> None:
+    def settled(self, t: NDArray[np.int64]) -> int:
+        """Find how many of the next times (N,) ns no later event can show to be too late.
+
+        That is all but those of the last 50 ms that would be passed on.
+
+        Raises:
+            TimeJumpError: time went back for good.
+        """
+        t = np.ascontiguousarray(t)
+        keep = self._sift(t, self._run.copy())
+        kept = np.arange(len(t)) if keep is None else np.flatnonzero(keep)
+        if len(kept) == 0:
+            return 0
+        late = int(np.searchsorted(t[kept], t[kept[-1]] - _STEP_NS, side="right"))
+        return int(kept[min(late, len(kept) - 1)])
+
+    def _sift(self, t: NDArray[np.int64], run: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+        """Mark (N,) the times to pass on, None for all of them; bring `run` up to date.
+
+        Raises:
+            TimeJumpError: time went back for good.
+        """
+        if t[0] >= self._last and not (t[1:] < t[:-1]).any():
+            run[:] = 0
+            return None
+        keep: NDArray[np.bool_] = _longest_order(t) & (t >= self._last)
+        if _goes_on(t, keep, run):
+            raise TimeJumpError(*self._step_back(t))
+        return keep
+
+    def _step_back(self, t: NDArray[np.int64]) -> tuple[int, int]:
+        """Times (before, behind), ns, of the step by which time went back."""
+        if self._run[0]:  # before these events
+            return self._last, int(self._run[1])
+        t = np.concatenate([[self._last], t])
+        i = int(np.argmax(t[:-1] - t[1:]))
+        return int(t[i]), int(t[i + 1])
+
+    def _note(self, t: NDArray[np.int64]) -> None:
         if self.first_disorder is None:
-            t = np.concatenate([[self._last], events.t])
+            t = np.concatenate([[self._last], t])
             i = int(np.argmax(t[1:] < t[:-1]))
             self.first_disorder = int(t[i]), int(t[i + 1])
 
 
+@njit(types.boolean[::1](_TIMES), cache=True, nogil=True)
+def _longest_order(t):  # type: ignore[no-untyped-def]
+    """Mark (N,) the most times t (N,) that never decrease.
+
+    From the end on, `begins` has the event that a run of each length may begin with at the latest.
+    """
+    begins = np.empty(len(t), np.int64)
+    following = np.empty(len(t), np.int64)
+    length = 0
+    for i in range(len(t) - 1, -1, -1):
+        low, high = 0, length
+        if length > 0 and t[begins[length - 1]] >= t[i]:
+            low = length
+        while low < high:
+            middle = (low + high) // 2
+            if t[begins[middle]] >= t[i]:
+                low = middle + 1
+            else:
+                high = middle
+        following[i] = begins[low - 1] if low > 0 else -1
+        begins[low] = i
+        length = max(length, low + 1)
+    keep = np.zeros(len(t), np.bool_)
+    i = begins[length - 1] if length > 0 else -1
+    while i >= 0:
+        keep[i] = True
+        i = following[i]
+    return keep
+
+
 @njit(
-    types.boolean(_TIMES, types.boolean[::1], types.int64, types.int64, types.int64, types.int64),
+    types.boolean(_TIMES, types.Array(types.boolean, 1, "C"), types.int64[::1]),
     cache=True,
     nogil=True,
 )
-def _are_late(t, keep, start, first, run, base):  # type: ignore[no-untyped-def]
-    """Tell whether it is the events before `start` that are wrong, not the `run` that follows.
+def _goes_on(t, keep, run):  # type: ignore[no-untyped-def]
+    """Tell whether time goes on among the events that are not kept, as after a new start.
 
-    Those later than `first`, the first of the run, have to be fewer and of a short time. None of
-    them may have come before this array, with `base` as the last.
+    `run` (3,) has the number of those behind one another up to here, and the times of the first and
+    the last one, ns; it is brought up to date.
     """
-    ahead, last = 0, first
-    for j in range(start - 1, -1, -1):
-        if keep[j]:
-            if t[j] <= first:
-                return True
-            ahead += 1
-            last = max(last, t[j])
-            if ahead >= run or last - t[j] >= _SHORT_NS:
-                return False
-    return base <= first
-
-
-@njit(
-    _FOUND(_TIMES, types.int64, types.int64, types.int64, types.boolean[::1]),
-    cache=True,
-    nogil=True,
-)
-def _sift(t, last, run, run_first, keep):  # type: ignore[no-untyped-def]
-    """Mark the events to pass on in `keep` (N,).
-
-    `run` events in a row were earlier than `last`, the first of them at `run_first`.
-
-    Returns:
-        `last`, `run` and `run_first` behind these events, and where time went back for good, or -1.
-    """
-    base = last
-    start = 0  # of the run, as far as it lies in this array
-    for i in range(len(t) + 1):
-        is_end = i == len(t)
-        is_back = not is_end and t[i] < last
-        if is_back:
-            if run == 0:
-                run_first, start = t[i], i
-            run += 1
-        for_good = is_back and run >= _MANY and t[i] - run_first >= FOR_GOOD_NS
-        if run > 0 and (not is_back or for_good):
-            if _are_late(t, keep, start, run_first, run, base):
-                last = base
-                for j in range(start):
-                    if keep[j]:
-                        keep[j] = t[j] <= run_first
-                        last = t[j] if keep[j] else last
-                for j in range(start, min(i + 1, len(t)) if is_back else i):
-                    keep[j] = t[j] >= last
-                    last = t[j] if keep[j] else last
-                run = 0
-            elif for_good:
-                return last, run, run_first, i
-        if not is_end and not is_back:
-            keep[i] = t[i] >= last
-            last = t[i] if keep[i] else last
-            run = 0
-    return last, run, run_first, -1
+    for i in range(len(t)):
+        if keep[i]:
+            run[0] = 0
+            continue
+        if run[0] == 0 or abs(t[i] - run[2]) >= _STEP_NS:
+            run[0], run[1] = 0, t[i]
+        run[0] += 1
+        run[2] = t[i]
+        if run[0] >= _MANY and t[i] - run[1] >= FOR_GOOD_NS:
+            return True
+    return False

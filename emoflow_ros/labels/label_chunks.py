@@ -19,6 +19,7 @@ from typing import Any, Self
 from uuid import uuid4
 
 import h5py
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros.core.camera import Camera
@@ -33,7 +34,8 @@ from emoflow_ros.evaluation.metrics import event_mask
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.slicers import Interval, IntervalSlicer
 from emoflow_ros.evaluation.window_run import attempt
-from emoflow_ros.readers import Recording, unordered
+from emoflow_ros.readers import Recording
+from emoflow_ros.readers.stream_check import StreamCheck
 
 UNORDERED = "events_unordered"  # attribute: events of the recording that were left out
 _MORE = {
@@ -239,9 +241,10 @@ def _estimate(job: Job, recording: Recording, writer: LabelWriter) -> int:
         How many events of the chunk were left out, because they are not in order of time.
     """
     estimator = make_estimator(job.header.camera, job.config)
-    left_out = LeftOut(job.chunk.start)
+    policy, chunk = job.config.window, job.chunk
+    intervals = chunk.intervals(policy)
+    left_out = LeftOut(chunk.start, chunk.start + chunk.windows * policy.stride_ns)
     with threadpool_limits(1):
-        intervals = job.chunk.intervals(job.config.window)
         for window in chunk_windows(recording, intervals, left_out):
             estimate, note = attempt(estimator, window)
             if window.t_start >= job.chunk.start:
@@ -250,27 +253,20 @@ def _estimate(job: Job, recording: Recording, writer: LabelWriter) -> int:
 
 
 class LeftOut:
-    """Counts the events that a chunk of windows has left out, and no other chunk has.
+    """Counts the events of a chunk's windows that were left out; no other chunk counts them.
 
     Args:
-        start: of the first window that is labelled, ns.
+        start, end: of the chunk's first window and of the next chunk's, ns.
     """
 
-    def __init__(self, start: int) -> None:
-        self._start = start
-        self._before = self._now = 0
+    def __init__(self, start: int, end: int) -> None:
+        self._start, self._end = start, end
+        self.count = 0
 
-    @property
-    def count(self) -> int:
-        """Events left out since the start."""
-        return self._now - self._before
-
-    def note(self, time: int, end: int, total: int) -> None:
-        """Take the time of the latest event, ns, and how many were left out up to there."""
-        if time < self._start:
-            self._before = total
-        if time < end:  # what reaches beyond the end counts in the next chunk
-            self._now = total
+    def note(self, check: StreamCheck | None) -> None:
+        """Take what the latest chunk of events has left out."""
+        gaps = check.order.gaps if check else np.empty(0, np.int64)
+        self.count += int(np.count_nonzero((gaps >= self._start) & (gaps < self._end)))
 
 
 def chunk_windows(
@@ -279,8 +275,8 @@ def chunk_windows(
     """Cut the windows of these intervals; what follows the last one is not read."""
     slicer = IntervalSlicer(intervals)
     for events in recording.event_chunks(intervals[0][0]):
-        if left_out and len(events):
-            left_out.note(int(events.t[-1]), intervals[-1][1], unordered(recording))
+        if left_out:
+            left_out.note(recording.check)
         yield from slicer.push(events)
         if len(events) and events.t[-1] >= intervals[-1][1]:
             return

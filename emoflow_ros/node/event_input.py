@@ -237,18 +237,12 @@ class EventInput:
         message in which time jumps forward is left out whole.
         """
         before, order = self._order.left_out, copy(self._order)
-        step = 0
-        try:
-            kept = order(events)
-            if len(events) and not len(kept) and order.last is not None:
-                step = int(events.t[-1]) - order.last
-        except TimeJumpError as jump:
-            step = jump.now - jump.last
+        kept, step = _sifted(order, events)
         if is_jump(step):
             self._start_epoch(step)
             order = copy(self._order)
-            kept = order(events)
-        if len(kept) and is_jump(int(kept.t[-1] - kept.t[0])):
+            kept, step = _sifted(order, events)
+        if is_jump(step) or (len(kept) and is_jump(int(kept.t[-1] - kept.t[0]))):
             self._statistics.counts["unordered_messages"] += 1
             self._warn("a message is left out: event times jump within it")
             return Events.empty()
@@ -279,3 +273,14 @@ class EventInput:
         ]
         if tasks:
             self._tasks.append(tasks)
+
+
+def _sifted(order: EventOrder, events: Events) -> tuple[Events, int]:
+    """Return the events that are in order, and the step of time where it went back, ns; else 0."""
+    try:
+        kept = order(events)
+    except TimeJumpError as jump:
+        return Events.empty(), jump.now - jump.last
+    if len(kept) or not len(events) or order.last is None:
+        return kept, 0
+    return kept, int(events.t[-1]) - order.last

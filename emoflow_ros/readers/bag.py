@@ -66,7 +66,7 @@ class BagRecording:
             yield check(message.events, message.dropped_outside)
         if check is None:
             raise InputError(self.path, f"no messages on {self.topic}", "record it again")
-        check.finish()
+        yield check.finish()
 
     def _decode(self, start: int | None) -> Iterator[tuple[int, EventMessage]]:
         """Decode the messages logged at or after a time in ns, each with its log time."""

@@ -75,7 +75,7 @@ class EcdRecording:
             lines.seek(start)
             while text := lines.read(_CHUNK_BYTES):
                 yield check(self._parse(_text(self._file, text + lines.readline())))
-        check.finish()
+        yield check.finish()
 
     def imu(self, topic: str | None = None) -> Imu | None:
         """Read `imu.txt` in the folder, where it is there; see Recording."""

@@ -212,7 +212,7 @@ class FileRecording:
         """
         self.check = check = StreamCheck(self.path, *self._sensor_size())
         yield from trimmed(map(check, chunks), since)
-        check.finish()
+        yield from trimmed([check.finish()], since)
 
     def _sensor_size(self) -> tuple[int, int]:
         if self.camera is None:

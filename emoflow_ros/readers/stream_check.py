@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from emoflow_ros.core.event_order import EventOrder
-from emoflow_ros.core.events import NS_PER_S, Events, TimeJumpError
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, TimeJumpError
 from emoflow_ros.errors import InputError
 
 # A few events outside are a sensor's glitch; more than this share tells of another sensor.
@@ -12,6 +12,9 @@ _MIN_JUDGED = 1000
 # Of the events that are earlier than ones before them: a larger share is no hiccup.
 MAX_UNORDERED_SHARE = 0.25
 _MANY = 1_000_000
+# Events that are looked at together: only what follows shows that some were too late.
+_BLOCK = 100_000
+_BLOCK_NS = 200 * NS_PER_MS
 
 
 class StreamCheck:
@@ -32,11 +35,14 @@ class StreamCheck:
         self._width = width
         self._height = height
         self.order = EventOrder()
+        self._waiting: list[Events] = []
         self.seen = 0
         self.outside = 0
 
     def __call__(self, events: Events, dropped: int = 0) -> Events:
-        """Return the chunk without the events outside the sensor, and those not in order of time.
+        """Take a chunk; return the events that are settled, on the sensor and in order of time.
+
+        The last ones wait for those of the next chunk, or for `finish`.
 
         Args:
             events: the next chunk.
@@ -55,8 +61,35 @@ class StreamCheck:
             self._judge_outside()
         if self.seen >= _MANY:
             self._judge_order()
+        if len(events):
+            self._waiting.append(events)
+        return self._ordered(is_end=False)
+
+    def finish(self) -> Events:
+        """Check the stream as a whole, at its end; return the events that have waited.
+
+        Raises:
+            InputError: no events at all, or too many outside or not in order.
+        """
+        rest = self._ordered(is_end=True)
+        if self.seen == 0:
+            raise InputError(self._path, "holds no events", "give a recording that has some")
+        self._judge_outside()
+        self._judge_order()
+        return rest
+
+    def _ordered(self, *, is_end: bool) -> Events:
+        """Sift what waits, up to the events that may prove to be too late."""
+        parts = self._waiting
+        count = sum(map(len, parts))
+        is_long = count >= _BLOCK or (count > 0 and _middle(parts[-1], parts[0]) >= _BLOCK_NS)
+        if not (is_long or is_end):
+            return self.order(Events.empty())
+        events = Events.concatenate(parts)
         try:
-            return self.order(events)
+            settled = count if is_end or not count else self.order.settled(events.t)
+            self._waiting = [events[settled:]] if settled < count else []
+            return self.order(events[:settled])
         except TimeJumpError as jump:
             raise InputError(
                 self._path,
@@ -64,17 +97,6 @@ class StreamCheck:
                 f"{jump.last / NS_PER_S:.6f} s): the sensor's clock or the recording starts anew",
                 "give each part as a recording of its own",
             ) from None
-
-    def finish(self) -> None:
-        """Check the stream as a whole, at its end.
-
-        Raises:
-            InputError: no events at all, or too many outside or not in order.
-        """
-        if self.seen == 0:
-            raise InputError(self._path, "holds no events", "give a recording that has some")
-        self._judge_outside()
-        self._judge_order()
 
     def _judge_outside(self) -> None:
         if self.outside > MAX_OUTSIDE_SHARE * self.seen:
@@ -97,3 +119,8 @@ class StreamCheck:
             "earlier than ones before them)",
             "sort the events by time",
         )
+
+
+def _middle(late: Events, early: Events) -> int:
+    """Time between two chunks, ns, by their middle events: the others may be out of order."""
+    return abs(int(late.t[len(late) // 2]) - int(early.t[len(early) // 2]))
