@@ -43,9 +43,9 @@ examples:
   label dsec/train/* --out labels --ray 10.0.0.1:6379 --workers 64 --resume
 
 writes DIR/<name of INPUT>.h5 per recording (docs/labels.md).
-exit codes: 0 done, 1 some recordings could not be labelled (they are listed), 2 bad input,
-130 interrupted (finished chunks are kept: the same command with --resume continues), 141 nobody
-reads the output.
+exit codes: 0 done, 1 some recordings could not be labelled (they are listed) or no window could be
+estimated, 2 bad input, 130 interrupted (finished chunks are kept: the same command with --resume
+continues), 141 nobody reads the output.
 """
 
 
@@ -125,6 +125,9 @@ def _run(options: argparse.Namespace) -> int:
         for plan in failed:
             name = f"{plan.source.path}: "
             print(f"  {name}{plan.error.removeprefix(name)}", file=sys.stderr)
+    if all(plan.estimated == 0 for plan in plans):
+        print("no window could be estimated", file=sys.stderr)
+        return _EXIT_SOME_FAILED
     return _EXIT_SOME_FAILED if failed else 0
 
 

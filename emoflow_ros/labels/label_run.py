@@ -58,6 +58,7 @@ class RecordingPlan:
         parts: the files of all chunks, in order; none where the label file is there already.
         jobs: chunks that are left to do.
         error: why it could not be labelled.
+        estimated: windows of the new label file that have an estimate; None where it is not made.
     """
 
     source: Source
@@ -65,6 +66,7 @@ class RecordingPlan:
     parts: list[Path] = field(default_factory=list)
     jobs: list[Job] = field(default_factory=list)
     error: str = ""
+    estimated: int | None = None
 
 
 def label_all(sources: Sequence[Source], settings: Settings, run: JobRunner) -> list[RecordingPlan]:
@@ -216,7 +218,8 @@ def _finish(plan: RecordingPlan) -> None:
         _fail(plan, f"{plan.target}: cannot be written ({error}); give another --out")
         return
     shutil.rmtree(plan.parts[0].parent)
-    said = outcome(sum(status == Status.OK), len(status), left_out)
+    plan.estimated = int(sum(status == Status.OK))
+    said = outcome(plan.estimated, len(status), left_out)
     tqdm.write(f"{plan.target}: {said}")
 
 

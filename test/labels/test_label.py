@@ -193,6 +193,7 @@ def test_interrupted_run_is_resumed(monkeypatch, tmp_path, ecd, capsys):
     assert call(monkeypatch, tmp_path / "parts", *inputs, "--resume") == 0
     assert Remembering.seen == done[len(done) // 2 + 4 :]  # without a, and b's first chunk
     assert (tmp_path / "parts" / "a.h5").stat().st_mtime_ns == kept
+    assert f"{tmp_path / 'parts' / 'a.h5'}: there already\n" in capsys.readouterr().out
     whole, parts = (tmp_path / name / "b.h5" for name in ("whole", "parts"))
     assert rows(parts, "t_start_ns", "angular") == rows(whole, "t_start_ns", "angular")
     assert not list((tmp_path / "parts").glob("*.parts"))
