@@ -254,12 +254,7 @@ def test_recordings_that_fail_do_not_cost_the_others(monkeypatch, tmp_path, ecd,
     shown = capsys.readouterr().err
     assert "4 of 6 recordings could not be labelled:" in shown
     listed = shown.partition("could not be labelled:")[2]
-    reasons = (
-        "goes back for good (0.500000 s follows 1.499000 s)",
-        "39.0 ms, less than one window",
-        "no such file",
-        "no camera",
-    )
+    reasons = ("back for good", "39.0 ms, less than one window", "no such file", "no camera")
     for path, reason in zip(bad, reasons, strict=True):
         (line,) = [line for line in listed.splitlines() if line.startswith(f"  {path}: ")]
         assert reason in line
