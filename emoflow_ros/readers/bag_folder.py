@@ -170,9 +170,11 @@ def _start(file: Path) -> bytes:
 
 
 def _storage(folder: Path) -> Iterator[Path]:
-    """Yield the storage files of a rosbag2 folder."""
+    """Yield the storage files of a rosbag2 folder, without hidden ones: they are a system's own."""
     ends = (*_STORAGE_SUFFIXES, *_PACKED_SUFFIXES)
-    yield from (f for f in folder.iterdir() if f.name.endswith(ends) and f.is_file())
+    for file in folder.iterdir():
+        if file.name.endswith(ends) and not file.name.startswith(".") and file.is_file():
+            yield file
 
 
 def _names_in_metadata(folder: Path) -> list[str]:

@@ -19,7 +19,7 @@ _CHUNK = struct.Struct("<QQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQI")
 _FOOTER = struct.Struct("<BQQQI")
 _STATISTICS = struct.Struct("<QHIIIIQQ")
-MESSAGE_HEAD = _MESSAGE.size
+MESSAGE_HEAD, CHUNK_HEAD, INDEX_HEAD = _MESSAGE.size, _CHUNK.size, 6
 _INDEX_HEAD = _HEAD.size + 6  # of a message index: the record's, channel and length of the list
 _INDEX_ENTRY = 16
 
@@ -32,6 +32,7 @@ class Kind(IntEnum):
     CHANNEL = 4
     MESSAGE = 5
     CHUNK = 6
+    MESSAGE_INDEX = 7
     CHUNK_INDEX = 8
     STATISTICS = 11
     DATA_END = 15
@@ -155,6 +156,18 @@ def message_head(content: bytes) -> tuple[int, int]:
     """Return a message's channel and log time in ns, from the beginning of its content."""
     channel, _, log_time, _ = _MESSAGE.unpack_from(content)
     return channel, log_time
+
+
+def message_index_head(content: bytes) -> tuple[int, int]:
+    """Return the channel of a message index and the number of messages, from its beginning."""
+    channel, size = struct.unpack_from("<HI", content)
+    return channel, size // _INDEX_ENTRY
+
+
+def chunk_times(content: bytes) -> tuple[int, int]:
+    """Return the first and last log time of a chunk, ns, from the beginning of its content."""
+    start, end, _, _ = _CHUNK.unpack_from(content)
+    return start, end
 
 
 def chunk_index(content: bytes) -> ChunkIndex:

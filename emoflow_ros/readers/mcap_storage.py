@@ -181,34 +181,54 @@ class McapStorage:
                 loose.end = record.end
                 continue
             loose = None  # its messages lie behind one another
-            if record.kind not in (Kind.SCHEMA, Kind.CHANNEL, Kind.CHUNK):
-                continue
-            content = self._content(record)
-            found.definitions.add(record.kind, content)
             if record.kind == Kind.CHUNK:
-                block = _Block(record.at, record.end, 0, 0, Counter())
-                found.blocks.append(block)
-                for kind, inner in mcap.records_of_chunk(content):
-                    found.definitions.add(kind, inner)
-                    if kind == Kind.MESSAGE:
-                        block.add(*mcap.message_head(inner))
+                self._complete(found)
+                times = mcap.chunk_times(self._content(record, mcap.CHUNK_HEAD))
+                found.blocks.append(_Block(record.at, record.end, *times))
+            elif record.kind == Kind.MESSAGE_INDEX and found.blocks:
+                channel, count = mcap.message_index_head(self._content(record, mcap.INDEX_HEAD))
+                last = found.blocks[-1]
+                last.counts = (last.counts or Counter()) + Counter({channel: count})
+            elif record.kind in (Kind.SCHEMA, Kind.CHANNEL):
+                found.definitions.add(record.kind, self._content(record))
         else:
             if not self.is_cut and end != size - len(mcap.MAGIC):
                 raise ValueError(f"a record at byte {end} that is longer than the file")
+            if found.blocks and loose is None:
+                found.blocks[-1].counts = None  # some of its indexes may be cut off
+        self._complete(found)
         found.counts = sum((b.counts for b in found.blocks if b.counts), Counter())
         if self.is_cut and not found.counts:
             raise ValueError("cut off before anything in it was whole")
         return found
 
+    def _complete(self, found: _Contents) -> None:
+        """Look into the last chunk, where no index tells its messages or it has new channels."""
+        if not found.blocks:
+            return
+        block = found.blocks[-1]
+        if block.counts is not None and block.counts.keys() <= found.definitions.channels.keys():
+            return
+        block.counts = Counter()
+        for record in mcap.records(self._stream, block.at, block.end):
+            for kind, content in self._inner(record):
+                found.definitions.add(kind, content)
+                if kind == Kind.MESSAGE:
+                    block.add(*mcap.message_head(content))
+
+    def _inner(self, record: mcap.Record) -> Iterator[tuple[int, bytes]]:
+        """Yield kind and content of a record, or of those in a chunk."""
+        content = self._content(record)
+        if record.kind == Kind.CHUNK:
+            yield from mcap.records_of_chunk(content)
+        else:
+            yield record.kind, content
+
     def _read(self, block: _Block) -> Iterator[mcap.Message]:
         for record in mcap.records(self._stream, block.at, block.end):
-            content = self._content(record)
-            if record.kind == Kind.MESSAGE:
-                yield mcap.message(content)
-            elif record.kind == Kind.CHUNK:
-                for kind, inner in mcap.records_of_chunk(content):
-                    if kind == Kind.MESSAGE:
-                        yield mcap.message(inner)
+            for kind, content in self._inner(record):
+                if kind == Kind.MESSAGE:
+                    yield mcap.message(content)
 
     def _content(self, record: mcap.Record, most: int | None = None) -> bytes:
         """Read the content of a record, or its first bytes."""
@@ -240,8 +260,9 @@ class McapStorage:
 
 
 def _metadata(blocks: list[_Block], count: int) -> ReaderMetadata:
-    start = min((b.start_time for b in blocks if b.counts != {}), default=(1 << 63) - 1)
-    end = max((b.end_time + 1 for b in blocks if b.counts != {}), default=0)
+    filled = [b for b in blocks if b.end_time]  # the times of an empty chunk are 0
+    start = min((b.start_time for b in filled), default=(1 << 63) - 1)
+    end = max((b.end_time + 1 for b in filled), default=0)
     return ReaderMetadata(max(0, end - start), start, end, count, None, None, None, None)
 
 

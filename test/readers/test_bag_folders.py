@@ -220,3 +220,11 @@ def test_field_recording_without_metadata(shared_data, form, capsys):
     assert_equal(read(path), expected)
     assert len(expected) == 18109
     assert capsys.readouterr().err == f"{path}: its messages are compressed one by one (zstd)\n"
+
+
+def test_hidden_files_of_other_systems_are_none_of_the_bag(folder, capsys):
+    file = storage_of(folder)
+    (folder / f"._{file.name}").write_bytes(b"\0\5\26\7Mac OS X")
+    (folder / "metadata.yaml").unlink()
+    assert_equal(read(folder), Events.concatenate(BATCHES))
+    assert capsys.readouterr().err == ""
