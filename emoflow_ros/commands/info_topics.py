@@ -1,15 +1,14 @@
 """A stream of events as the command `info` describes it."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 
 from rosbags.interfaces import Connection
 
 from emoflow_ros.commands.info_contents import table_lines
-from emoflow_ros.core.event_order import EventOrder
 from emoflow_ros.core.events import NS_PER_S, Events, TimeJumpError
 from emoflow_ros.readers.bag_events import TopicDecoder
+from emoflow_ros.readers.stream_check import SettledOrder
 from msg_adapters import DecodeError, Statistics
 
 
@@ -51,6 +50,11 @@ class TopicInfo:
         if self.t_last > self.t_first:
             self.rate = self.events / (self.t_last - self.t_first)
 
+    def add_jump(self, before: Events) -> None:
+        """Count a jump back in time, and the events before it that were not counted yet."""
+        self.add(before)
+        self.time_jumps += 1
+
     def take(self, statistics: Statistics) -> None:
         """Take over what a decoder has counted."""
         self.encoding = statistics.encoding
@@ -68,7 +72,7 @@ def inspect_topic(
     messages: Iterable[tuple[Connection, int, bytes]],
 ) -> TopicInfo:
     """Decode the messages of a topic, and count."""
-    topic, order = TopicInfo(name, ros_type), EventOrder()
+    topic, order = TopicInfo(name, ros_type), SettledOrder()
     for connection, _, data in messages:
         topic.packets += 1
         try:
@@ -79,14 +83,23 @@ def inspect_topic(
         topic.width, topic.height = message.width, message.height
         try:
             topic.add(order(message.events))
-        except TimeJumpError:
-            topic.time_jumps += 1
-            order.reset()
-            with suppress(TimeJumpError):  # of a message that belongs to both parts
-                topic.add(order(message.events))
-    topic.unordered = order.left_out
+        except TimeJumpError as jump:
+            topic.add_jump(order.restart(jump))
+    _finish(topic, order)
+    topic.unordered = order.sift.left_out
     topic.take(decoder.statistics)
     return topic
+
+
+def _finish(topic: TopicInfo, order: SettledOrder) -> None:
+    """Count the events that still wait; there may be jumps back in time among them."""
+    while True:
+        try:
+            topic.add(order.finish())
+        except TimeJumpError as jump:
+            topic.add_jump(order.restart(jump))
+        else:
+            return
 
 
 def topic_lines(topic: TopicInfo) -> Iterator[str]:

@@ -1,6 +1,10 @@
 """What every reader checks of its events: their order of time, and that they lie on the sensor."""
 
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import numpy as np
 
 from emoflow_ros.core.event_order import EventOrder
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, TimeJumpError
@@ -17,6 +21,68 @@ _BLOCK = 100_000
 _BLOCK_NS = 200 * NS_PER_MS
 
 
+class SettledOrder:
+    """Passes on events in order of time, once no later one can show that they are too late.
+
+    Attributes:
+        sift: leaves out the events that are not in order, and counts them.
+    """
+
+    def __init__(self) -> None:
+        self.sift = EventOrder()
+        self._waiting: list[Events] = []
+
+    def __call__(self, events: Events) -> Events:
+        """Take the next events; return those that are settled.
+
+        Raises:
+            TimeJumpError: time went back for good. All wait; see `restart`.
+        """
+        if len(events):
+            self._waiting.append(events)
+        parts = self._waiting
+        count = sum(map(len, parts))
+        if count < _BLOCK and (count == 0 or _apart(parts[0], parts[-1]) < _BLOCK_NS):
+            return self.sift(Events.empty())
+        waiting = self._joined()
+        settled = self.sift.settled(waiting.t)
+        found = self.sift(waiting[:settled])
+        self._waiting = [waiting[settled:]]
+        return found
+
+    def finish(self) -> Events:
+        """Return the events that still wait.
+
+        Raises:
+            TimeJumpError: as above.
+        """
+        found = self.sift(self._joined())
+        self._waiting = []
+        return found
+
+    def restart(self, jump: TimeJumpError) -> Events:
+        """Go on behind a jump; return the events before it that waited."""
+        waiting = self._joined()
+        t = waiting.t
+        steps = np.flatnonzero((t[:-1] == jump.last) & (t[1:] == jump.now)) + 1
+        at = int(steps[0]) if len(steps) else 0
+        before = Events.empty()
+        with suppress(TimeJumpError):  # of several: what lies between them is left out
+            before = self.sift(waiting[:at])
+        self.sift.reset()
+        self._waiting = [waiting[at:]]
+        return before
+
+    def _joined(self) -> Events:
+        self._waiting = [Events.concatenate(self._waiting)]
+        return self._waiting[0]
+
+
+def _apart(early: Events, late: Events) -> int:
+    """Time between two chunks, ns, by their middle events: the others may be out of order."""
+    return abs(int(late.t[len(late) // 2]) - int(early.t[len(early) // 2]))
+
+
 class StreamCheck:
     """Check chunk after chunk of a stream: order of time, and events outside the sensor.
 
@@ -25,7 +91,7 @@ class StreamCheck:
         width, height: the sensor in px.
 
     Attributes:
-        order: has left out the events that are not in order of time, and counts them.
+        order: leaves out the events that are not in order of time, and counts them.
         seen: events so far, those left out among them.
         outside: of them outside the sensor.
     """
@@ -34,8 +100,8 @@ class StreamCheck:
         self._path = path
         self._width = width
         self._height = height
-        self.order = EventOrder()
-        self._waiting: list[Events] = []
+        self._settled = SettledOrder()
+        self.order = self._settled.sift
         self.seen = 0
         self.outside = 0
 
@@ -61,9 +127,8 @@ class StreamCheck:
             self._judge_outside()
         if self.seen >= _MANY:
             self._judge_order()
-        if len(events):
-            self._waiting.append(events)
-        return self._ordered(is_end=False)
+        with self._jump_refused():
+            return self._settled(events)
 
     def finish(self) -> Events:
         """Check the stream as a whole, at its end; return the events that have waited.
@@ -71,25 +136,18 @@ class StreamCheck:
         Raises:
             InputError: no events at all, or too many outside or not in order.
         """
-        rest = self._ordered(is_end=True)
+        with self._jump_refused():
+            rest = self._settled.finish()
         if self.seen == 0:
             raise InputError(self._path, "holds no events", "give a recording that has some")
         self._judge_outside()
         self._judge_order()
         return rest
 
-    def _ordered(self, *, is_end: bool) -> Events:
-        """Sift what waits, up to the events that may prove to be too late."""
-        parts = self._waiting
-        count = sum(map(len, parts))
-        is_long = count >= _BLOCK or (count > 0 and _middle(parts[-1], parts[0]) >= _BLOCK_NS)
-        if not (is_long or is_end):
-            return self.order(Events.empty())
-        events = Events.concatenate(parts)
+    @contextmanager
+    def _jump_refused(self) -> Generator[None]:
         try:
-            settled = count if is_end or not count else self.order.settled(events.t)
-            self._waiting = [events[settled:]] if settled < count else []
-            return self.order(events[:settled])
+            yield
         except TimeJumpError as jump:
             raise InputError(
                 self._path,
@@ -119,8 +177,3 @@ class StreamCheck:
             "earlier than ones before them)",
             "sort the events by time",
         )
-
-
-def _middle(late: Events, early: Events) -> int:
-    """Time between two chunks, ns, by their middle events: the others may be out of order."""
-    return abs(int(late.t[len(late) // 2]) - int(early.t[len(early) // 2]))

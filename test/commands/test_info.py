@@ -54,7 +54,7 @@ def test_what_is_missing_and_what_is_wrong(tmp_path, make_events, write_event_ba
     info = inspect(path)
     assert [t.name for t in info.topics] == list(topics)
     for topic in info.topics:
-        assert topic.unordered == np.count_nonzero(events.x[:50] < 20)
+        assert topic.unordered == np.count_nonzero(events.x[50:] < 20)
         assert topic.outside == np.count_nonzero(events.x >= 20)
         assert topic.events == 100 - topic.outside - topic.unordered
     assert [line.partition(": give")[0] for line in info.missing] == [

@@ -116,8 +116,19 @@ def test_recording_that_goes_back_for_good_is_refused(tmp_path, name):
     assert str(caught.value).endswith("; give each part as a recording of its own")
     if name in ("ros1", "sqlite3", "mcap"):
         info = inspect(path)
-        assert (info.topics[0].time_jumps, info.topics[0].events) == (1, 1900)
+        assert (info.topics[0].time_jumps, info.topics[0].events) == (1, 2000)
         assert any("event time goes back for good: give each part" in m for m in info.missing)
+
+
+@pytest.mark.parametrize("length", [60, 150, 1000])
+def test_info_counts_every_round_of_a_loop(tmp_path, length):
+    """Messages of 30 ms: some have the end of a round and the beginning of the next."""
+    rounds = Events.concatenate([make_events(length, start_s=5) for _ in range(5)])
+    parts = [rounds[k : k + 30] for k in range(0, len(rounds), 30)]
+    [topic] = inspect(write_event_bag(tmp_path / "a.bag", parts)).topics
+    assert topic.events + topic.unordered == 5 * length
+    if length > 100:
+        assert (topic.time_jumps, topic.unordered) == (4, 0)
 
 
 @pytest.mark.parametrize("name", WRITERS)
