@@ -9,6 +9,7 @@ from dvs_msgs.msg import EventArray
 from event_bags import typestore
 from harness import CAMERA
 from rclpy.serialization import deserialize_message
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from sensor_msgs.msg import CameraInfo, Imu
 
 from emoflow_ros.core.events import Events
@@ -38,7 +39,8 @@ bool polarity
 
 @pytest.fixture
 def converter() -> Ros1Converter:
-    connection = SimpleNamespace(msgtype=EVENT_ARRAY, msgdef=SimpleNamespace(data=EVENT_DEFINITION))
+    definition = MessageDefinition(MessageDefinitionFormat.MSG, EVENT_DEFINITION)
+    connection = SimpleNamespace(msgtype=EVENT_ARRAY, msgdef=definition)
     return Ros1Converter([connection])
 
 
