@@ -17,9 +17,9 @@ from backports import zstd
 from emoflow_ros.errors import InputError
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_ZSTD = ".zstd"
+_PACKED = (".zstd", ".zst")  # of rosbag2, and of the program zstd
 _STORAGE_SUFFIXES = (".db3", ".mcap")
-_PACKED_SUFFIXES = tuple(suffix + _ZSTD for suffix in _STORAGE_SUFFIXES)
+_PACKED_SUFFIXES = tuple(s + packed for s in _STORAGE_SUFFIXES for packed in _PACKED)
 # rosbag names a bag .bag.active while it records.
 _SUFFIXES = (".bag", ".bag.active", *_STORAGE_SUFFIXES, *_PACKED_SUFFIXES)
 _SQLITE_HEADER = 100
@@ -83,9 +83,10 @@ def files_of(path: Path) -> BagFiles:
 def _named_files(path: Path, names: list[str], there: list[Path]) -> BagFiles:
     """Find the files that metadata.yaml names, or what lies in their place."""
     by_name = {f.name: f for f in there}
-    twins = {n: by_name.get(n) or by_name.get(_other_form(n)) for n in names}
+    forms = {n: [f for f in (n, *_other_forms(n)) if f in by_name] for n in names}
+    twins = {n: by_name[found[0]] if found else None for n, found in forms.items()}
     missing = [n for n in names if twins[n] is None]
-    taken = {f.name for f in twins.values() if f} | {_other_form(n) for n in names}
+    taken = {form for n in names for form in forms[n]}
     spare = [f for f in there if f.name not in taken and not _is_packed_twin(f)]
     if missing and not (len(missing) == 1 and len(spare) == 1):
         lying = ", ".join(f.name for f in spare) or "no other"
@@ -116,7 +117,7 @@ def unpacked(file: Path, folder: Path) -> Path:
     """
     if not _start(file).startswith(ZSTD_MAGIC):
         return file
-    whole = folder / (file.name.removesuffix(_ZSTD) or file.name)
+    whole = folder / f"{len(list(folder.iterdir()))}_{_unpacked_name(file.name)}"
     try:
         with zstd.open(file, "rb") as packed, whole.open("wb") as out:
             copyfileobj(packed, out, 1 << 20)
@@ -187,14 +188,22 @@ def _names_in_metadata(folder: Path) -> list[str]:
         return []
 
 
-def _other_form(name: str) -> str:
-    """Return the name of the same file unpacked, or packed."""
-    return name.removesuffix(_ZSTD) if name.endswith(_ZSTD) else name + _ZSTD
+def _unpacked_name(name: str) -> str:
+    for suffix in _PACKED:
+        name = name.removesuffix(suffix)
+    return name
+
+
+def _other_forms(name: str) -> list[str]:
+    """Return the names of the same file unpacked and packed, but its own."""
+    plain = _unpacked_name(name)
+    return [form for form in (plain, *(plain + suffix for suffix in _PACKED)) if form != name]
 
 
 def _is_packed_twin(file: Path) -> bool:
     """Whether the same file lies unpacked beside a packed one."""
-    return file.name.endswith(_ZSTD) and file.with_name(_other_form(file.name)).is_file()
+    plain = _unpacked_name(file.name)
+    return plain != file.name and file.with_name(plain).is_file()
 
 
 def _sqlite_size(header: bytes) -> int:

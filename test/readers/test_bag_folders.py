@@ -31,9 +31,9 @@ def read(path: Path) -> Events:
         return Events.concatenate(list(recording.event_chunks()))
 
 
-def pack(file: Path) -> Path:
+def pack(file: Path, suffix: str = ".zstd") -> Path:
     """As `ros2 bag record --compression-mode file --compression-format zstd` leaves it."""
-    packed = file.with_name(file.name + ".zstd")
+    packed = file.with_name(file.name + suffix)
     packed.write_bytes(zstd.compress(file.read_bytes()))
     file.unlink()
     return packed
@@ -114,8 +114,11 @@ def test_unpacked_by_hand_while_metadata_names_the_packed_one(folder, capsys):
     )
 
 
-def test_packed_by_hand_while_metadata_names_the_other(folder, capsys):
-    name = pack(storage_of(folder)).name
+@pytest.mark.parametrize("suffix", [".zstd", ".zst"])
+def test_packed_by_hand_while_metadata_names_the_other(folder, suffix, capsys):
+    path = pack(storage_of(folder), suffix)
+    name = path.name
+    assert_equal(read(path), Events.concatenate(BATCHES))
     assert_equal(read(folder), Events.concatenate(BATCHES))
     assert f"; {name} is read in its place\n" in capsys.readouterr().err
 
