@@ -82,6 +82,9 @@ class Bag:
         Args:
             connections: whose; those of all if none are given.
             start, stop: leave out what was logged before the one, and from the other on, ns.
+
+        Raises:
+            Exception: of any kind, from damaged data; `read_messages` makes one line of it.
         """
         wanted = {c.id for c in connections or self.connections}
         streams = []
@@ -91,6 +94,8 @@ class Bag:
                 streams.append(storage.messages(own, start, stop))
         for found, logged, data in merge(*streams, key=lambda item: item[1]):
             connection = self.connections[self._number[_key(found)]]
+            if connection.id not in wanted:
+                raise ValueError("a message of another topic than its index says")
             yield connection, logged, self._plain(connection, bytes(data))
 
     def _add(self, connection: Connection) -> None:

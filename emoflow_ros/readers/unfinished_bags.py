@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.rosbag1.reader import decompressors
 
@@ -19,6 +19,7 @@ from emoflow_ros.readers.appended_index import BagChunk, finished_file, number
 _ROS1_START = 13  # after the line with the version
 _ROS1_HEAD_FIELDS = (b"index_pos=", b"conn_count=", b"chunk_count=")
 _JOURNALS = ("-wal", "-journal")
+_ROS1_MESSAGE = 2
 _ROS1_INDEX, _ROS1_CHUNK, _ROS1_CHUNK_INFO, _ROS1_CONNECTION = 4, 5, 6, 7
 
 
@@ -39,6 +40,7 @@ def _finish_ros1(file: Path, stream: Any) -> Path | None:
     if 0 < index_pos < size:
         return None
     chunks: list[BagChunk] = []
+    end = _ROS1_START
     for at, fields, data_at, length in _ros1_records(stream, _ROS1_START, size):
         kind = fields[b"op"][0]
         if kind in (_ROS1_CONNECTION, _ROS1_CHUNK_INFO):
@@ -48,18 +50,67 @@ def _finish_ros1(file: Path, stream: Any) -> Path | None:
             chunks.append(BagChunk(at, data_at + length, -1, -1, {}, *packing))
         if kind == _ROS1_INDEX and chunks:
             chunks[-1] = _with_ros1_index(chunks[-1], fields, stream.read(length), data_at + length)
-    chunks = [chunk for chunk in chunks if chunk.counts]
+        end = data_at + length
+    begun = _begun_chunk(stream, chunks[-1].at if chunks and not chunks[-1].counts else end, size)
+    chunks = [chunk for chunk in chunks if chunk.counts] + ([begun.chunk] if begun else [])
     if not chunks:
         return None
     connections = _connections_of(stream, chunks)
-    tail = b"".join(connections.values()) + b"".join(map(_ros1_chunk_info, chunks))
+    index = begun.records if begun else b""
+    tail = index + b"".join(connections.values()) + b"".join(map(_ros1_chunk_info, chunks))
     whole = chunks[-1].end
-    values = ((whole, 8), (len(connections), 4), (len(chunks), 4))
+    values = ((whole + len(index), 8), (len(connections), 4), (len(chunks), 4))
     patches = {
         place: value.to_bytes(bytes_, "little")
         for place, (value, bytes_) in zip(places.values(), values, strict=True)
     }
-    return finished_file(file, whole, patches, tail)
+    return finished_file(file, whole, patches | (begun.patches if begun else {}), tail)
+
+
+class _Begun(NamedTuple):
+    """A chunk whose recorder had not filled in its length, or written its index."""
+
+    chunk: BagChunk
+    patches: dict[int, bytes]
+    records: bytes  # of its index
+
+
+def _begun_chunk(stream: Any, at: int, size: int) -> _Begun | None:
+    """Find the whole messages of an uncompressed chunk that was being written at the end.
+
+    Its length is 0 until it is full: its messages then seem to be records beside it.
+    """
+    stream.seek(at)
+    length = number(stream.read(4))
+    header = stream.read(length)
+    data_at = at + 8 + length
+    fields = _ros1_fields(header) if data_at < size else {}
+    if fields.get(b"op") != bytes([_ROS1_CHUNK]) or fields[b"compression"] != b"none":
+        return None
+    entries: dict[int, list[tuple[bytes, int]]] = {}
+    end = data_at
+    for start, inner, inner_at, inner_length in _ros1_records(stream, data_at, size):
+        kind = inner[b"op"][0]
+        if kind == _ROS1_MESSAGE:
+            entry = inner[b"time"], start - data_at
+            entries.setdefault(number(inner[b"conn"]), []).append(entry)
+        elif kind != _ROS1_CONNECTION:
+            break
+        end = inner_at + inner_length
+    if not entries:
+        return None
+    whole = end - data_at
+    chunk = BagChunk(at, end, -1, -1, {}, b"none", (data_at, whole), whole)
+    index = b""
+    for connection, own in entries.items():
+        data = b"".join(time + struct.pack("<I", offset) for time, offset in own)
+        head = {b"op": bytes([_ROS1_INDEX]), b"ver": struct.pack("<I", 1)}
+        head |= {b"conn": struct.pack("<I", connection), b"count": struct.pack("<I", len(own))}
+        index += _ros1_record(head, data)
+        chunk = _with_ros1_index(chunk, head, data, end)
+    lengths = struct.pack("<I", whole)
+    places = at + 4 + header.index(b"size=") + len(b"size="), data_at - 4
+    return _Begun(chunk, dict.fromkeys(places, lengths), index)
 
 
 def _ros1_records(
@@ -130,9 +181,12 @@ def _ros1_chunk_info(chunk: BagChunk) -> bytes:
         b"end_time": times[1],
         b"count": struct.pack("<I", len(chunk.counts)),
     }
+    return _ros1_record(fields, b"".join(struct.pack("<II", *p) for p in chunk.counts.items()))
+
+
+def _ros1_record(fields: dict[bytes, bytes], data: bytes) -> bytes:
     parts = [name + b"=" + value for name, value in fields.items()]
     header = b"".join(struct.pack("<I", len(part)) + part for part in parts)
-    data = b"".join(struct.pack("<II", *pair) for pair in chunk.counts.items())
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
 
 

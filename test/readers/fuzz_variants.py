@@ -187,14 +187,14 @@ def active_bag(folder: Path, rng: Random) -> Made:
 
 
 def _ends_of_chunks(data: bytes) -> list[int]:
-    """Find the ends of the indexes, which stand behind the chunks: a message each."""
+    """Find where the chunks end, of a message each; their indexes stand behind them."""
     ends, at = [], data.index(b"\n") + 1
     while at < len(data):
         length = int.from_bytes(data[at : at + 4], "little")
-        is_index = b"op=\x04" in data[at : at + 4 + length]
+        is_chunk = b"op=\x05" in data[at : at + 4 + length]
         at += 4 + length
         at += 4 + int.from_bytes(data[at : at + 4], "little")
-        ends += [at] if is_index else []
+        ends += [at] if is_chunk else []
     return ends
 
 
