@@ -1,6 +1,7 @@
-"""What goes wrong: the one exception for input that a user can mend, and tracebacks of the rest."""
+"""What goes wrong or is assumed: the one exception for bad input, notes, tracebacks of the rest."""
 
 import os
+import sys
 import time
 import traceback
 from pathlib import Path
@@ -25,6 +26,17 @@ class InputError(Exception):
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
         """Let it cross from one process to another."""
         return type(self), (self.where, self.wrong, self.fix)
+
+
+_said: set[str] = set()
+
+
+def say(where: object, what: str) -> None:
+    """Say on standard error, once per process, what was assumed of an input or left out of it."""
+    line = f"{where}: {what}"
+    if line not in _said:
+        _said.add(line)
+        print(line, file=sys.stderr)
 
 
 def keep_traceback(error: BaseException) -> str:

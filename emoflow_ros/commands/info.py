@@ -212,7 +212,8 @@ def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
         with BagRecording(path, topic=topic.name) as recording:
             camera = recording.camera
     except InputError as error:
-        return f"camera_info cannot be used ({error})"
+        reason = str(error).removeprefix(f"{path} ")
+        return f"camera_info cannot be used ({reason})"
     if camera is None:
         return _NO_CALIBRATION
     if topic.width and (camera.width, camera.height) != (topic.width, topic.height):

@@ -72,7 +72,8 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
         "--calib",
         type=Path,
         metavar="FILE",
-        help="calibration: camera_info YAML or ECD calib.txt (default: the recording's own)",
+        help="calibration: camera_info YAML, Kalibr camchain, OpenCV YAML or ECD calib.txt "
+        "(default: the recording's own)",
     )
     parser.add_argument("--topic", metavar="T", help="event topic, where the recording has several")
     parser.add_argument(

@@ -15,19 +15,17 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
-from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.bag_camera import camera_beside
 from emoflow_ros.readers.bag_files import (
     MAGIC,
-    deserialize,
     open_bag,
     read_messages,
     serialization,
     storage,
 )
-from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, StreamCheck, trimmed
+from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, StreamCheck, read_camera, trimmed
 from msg_adapters import DecodeError, EventMessage, make_decoder, supported_types
 
 # The times of these types do not depend on earlier messages.
@@ -59,7 +57,9 @@ class BagRecording:
             self._connection = _event_connection(path, self._bag, topic)
             self.topic = self._connection.topic
             self.camera = (
-                load_calibration(calibration) if calibration else self._camera_beside_events()
+                read_camera(calibration)
+                if calibration
+                else camera_beside(path, self._bag, self.topic)
             )
             self.duration: float | None = self._bag.duration / NS_PER_S
             self._stack = stack.pop_all()
@@ -139,18 +139,6 @@ class BagRecording:
                 "give this sensor's calibration with --calib FILE",
             )
         return size
-
-    def _camera_beside_events(self) -> Camera | None:
-        """Read the first message of the camera_info topic in the event topic's namespace."""
-        name = self.topic.rpartition("/")[0] + "/camera_info"
-        found = [c for c in self._bag.connections if c.topic == name]
-        for connection, _, data in read_messages(self.path, self._bag, found) if found else ():
-            info = deserialize(self._bag, connection, data)
-            k, d = (info.K, info.D) if hasattr(info, "K") else (info.k, info.d)
-            return Camera.from_intrinsic_matrix(
-                info.width, info.height, k, info.distortion_model, d
-            )
-        return None
 
 
 def _event_connection(path: Path, reader: AnyReader, topic: str | None) -> Connection:

@@ -13,15 +13,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.event_columns import pixel_coordinates, to_ns
 from emoflow_ros.readers.reader_base import (
     Imu,
     StreamCheck,
-    pixel_coordinates,
+    read_camera,
     refuse_imu_topic,
-    to_ns,
     trimmed,
 )
 
@@ -51,7 +50,7 @@ class EcdRecording:
         self.topic = ""
         own = self.path / "calib.txt"
         file = calibration or (own if own.exists() else None)
-        self.camera = load_calibration(file) if file else None
+        self.camera = read_camera(file) if file else None
         self._file = self.path / _EVENTS
         self.file_name = _EVENTS
         self.duration: float | None = self._measure()

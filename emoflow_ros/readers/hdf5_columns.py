@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.event_columns import pixel_coordinates, to_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, is_hdf5, open_hdf5, row_before
-from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns
+from emoflow_ros.readers.reader_base import FileRecording
 
 # The names that data sets give each column.
 _NAMES = (("x", "xs"), ("y", "ys"), ("t", "ts"), ("p", "ps", "pol", "polarity"))
 _INDICES = ("ms_to_idx", "ms_map_idx")
 _OFFSET = "t_offset"
 _SAMPLE = 1000
-# Kalibr's names of lens models, which M3ED's calibration has, and ROS's.
-_LENSES = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": ""}
+_LENSES = ("radtan", "equidistant", "none")  # that M3ED's calibration names
 
 _WORDS = {
     "s": NS_PER_S, "sec": NS_PER_S, "second": NS_PER_S, "seconds": NS_PER_S,
@@ -175,15 +175,15 @@ def _camera(path: Path, group: h5py.Group, size: tuple[int, int]) -> Camera | No
     if lens is None or None in items or items[0].shape != (4,):
         return None
     word = lens[()]
-    model = _LENSES.get(word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word))
-    if model is None:
+    model = word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word)
+    if model not in _LENSES:
         return None
     (fx, fy, cx, cy), distortion = (np.ravel(item[()]).tolist() for item in items)
     try:
         k = (fx, 0, cx, 0, fy, cy, 0, 0, 1)
         return Camera.from_intrinsic_matrix(*size, k, model, distortion)
     except InputError as error:
-        wrong = f"its calibration cannot be used ({error})"
+        wrong = f"its calibration cannot be used ({error.wrong})"
         raise InputError(path, wrong, "give one with --calib FILE") from None
 
 

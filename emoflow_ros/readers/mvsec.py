@@ -9,8 +9,9 @@ from typing import Any
 
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.event_columns import pixel_coordinates, to_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
-from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns
+from emoflow_ros.readers.reader_base import FileRecording
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns
+from emoflow_ros.readers.event_columns import pixel_coordinates, to_ns
+from emoflow_ros.readers.reader_base import FileRecording
 
 _UNITS_NS = {"t_s": NS_PER_S, "t_us": 1_000, "t_ns": 1}
 _EPOCH_NS = 10**17

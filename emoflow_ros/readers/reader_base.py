@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, say
 
 # A few events outside are a sensor's glitch; more than this share tells of another sensor.
 MAX_OUTSIDE_SHARE = 0.01
 _MIN_JUDGED = 1000
-_FURTHEST_NS = 9e18
 ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
 
 
@@ -102,15 +101,6 @@ class Recording(Protocol):
     ) -> None: ...
 
 
-def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    if values.dtype == np.uint16:
-        return values
-    largest = np.iinfo(np.uint16).max
-    fits = (values >= 0) & (values < largest)
-    return np.where(fits, values, largest).astype(np.uint16)
-
-
 def refuse_imu_topic(path: Path, topic: str | None) -> None:
     """Refuse an IMU topic that is given for a recording that is no bag.
 
@@ -130,17 +120,16 @@ def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:
             yield events[int(np.searchsorted(events.t, since)) :]
 
 
-def to_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
-    """Convert times of a floating-point type in units of so many ns.
+def read_camera(path: Path) -> Camera:
+    """Read a calibration file, and say what was assumed of it.
 
     Raises:
-        InputError: a time that is not finite, or further than centuries from zero.
+        InputError: see `load_calibration`.
     """
-    with np.errstate(all="ignore"):
-        ns = t.astype(np.float64) * unit
-    if not (np.abs(ns) < _FURTHEST_NS).all():
-        raise InputError(path, "event times that are not finite", "copy it again")
-    return np.rint(ns).astype(np.int64)
+    camera = load_calibration(path)
+    if camera.note:
+        say(path, camera.note)
+    return camera
 
 
 def require_camera(recording: Recording) -> Camera:
@@ -153,7 +142,7 @@ def require_camera(recording: Recording) -> Camera:
         raise InputError(
             recording.path,
             "holds no camera calibration",
-            "give one with --calib FILE (camera_info YAML or ECD calib.txt)",
+            "give one with --calib FILE (camera_info YAML, Kalibr, OpenCV or ECD calib.txt)",
         )
     return recording.camera
 
@@ -252,7 +241,7 @@ class FileRecording:
         self.path = path
         self.topic = ""
         self.file_name = path.name
-        self.camera = load_calibration(calibration) if calibration else None
+        self.camera = read_camera(calibration) if calibration else None
         self.duration: float | None = None
         self.size = (0, 0)
         self.stack = ExitStack()

@@ -10,7 +10,7 @@ import pytest
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
-from emoflow_ros.readers.reader_base import to_ns
+from emoflow_ros.readers.event_columns import to_ns
 
 SCRIPT = Path(__file__).parent / "fuzz_readers.py"
 FILES = 20
