@@ -30,6 +30,7 @@ from emoflow_ros.evaluation.recording_options import (
 )
 from emoflow_ros.labels.label_chunks import Job, label_chunk
 from emoflow_ros.labels.label_run import JobRunner, Settings, label_all
+from emoflow_ros.readers.column_arguments import column_options
 
 LOCAL = "local"
 _RETRIES = 3  # of a job whose worker died
@@ -108,7 +109,10 @@ def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, overrides(options))
     _check(options, config)
     sequence = find_sequence(options.sequence) if options.sequence else None
-    sources = [Source(path, options.topic, options.calib, sequence) for path in options.inputs]
+    columns = column_options(options)
+    sources = [
+        Source(path, options.topic, options.calib, sequence, columns) for path in options.inputs
+    ]
     settings = Settings(config, options.chunk_s, options.margin_s, options.out, options.resume)
     _refuse_equal_names([settings.target(source) for source in sources])
     make_folder(options.out)

@@ -21,8 +21,8 @@ def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
     return np.where(fits, values, largest).astype(np.uint16)
 
 
-def to_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
-    """Convert times of a floating-point type in units of so many ns.
+def times_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
+    """Convert times of any numeric type in units of so many ns.
 
     Raises:
         InputError: a time that is not finite, or further than centuries from zero.
@@ -31,4 +31,6 @@ def to_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64
         ns = t.astype(np.float64) * unit
     if not (np.abs(ns) < _FURTHEST_NS).all():
         raise InputError(path, "event times that are not finite", "copy it again")
-    return np.rint(ns).astype(np.int64)
+    if t.dtype.kind == "f":
+        return np.rint(ns).astype(np.int64)
+    return t.astype(np.int64) * unit

@@ -14,11 +14,13 @@ from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError, say
+from emoflow_ros.readers.column_layout import ColumnOptions
 
 # A few events outside are a sensor's glitch; more than this share tells of another sensor.
 MAX_OUTSIDE_SHARE = 0.01
 _MIN_JUDGED = 1000
-ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
+# Of an unknown sensor: coordinates are 16-bit, and the largest one stands for all outside.
+ANY_SIZE = int(np.iinfo(np.uint16).max)
 
 
 @dataclass(frozen=True)
@@ -228,22 +230,31 @@ class FileRecording:
     """A single file with one stream of events; a subclass opens it and yields its events.
 
     Attributes:
+        options: what the user says of columns that do not say it themselves.
         file_name: of the file that holds the events.
+        named: the file that errors name.
         stack: closes what the subclass opens.
         size: (width, height) as the file gives it; (0, 0) where it gives none.
     """
 
     def __init__(
-        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+        self,
+        path: Path,
+        *,
+        topic: str | None = None,
+        calibration: Path | None = None,
+        columns: ColumnOptions | None = None,
     ) -> None:
         if topic is not None:
             raise InputError(path, "a file of one stream has no topics", "leave --topic out")
         self.path = path
         self.topic = ""
         self.file_name = path.name
+        self.named = path
         self.camera = read_camera(calibration) if calibration else None
         self.duration: float | None = None
         self.size = (0, 0)
+        self.options = columns or ColumnOptions()
         self.stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -268,7 +279,7 @@ class FileRecording:
         Raises:
             InputError: the calibration is of another size, or see StreamCheck.
         """
-        check = StreamCheck(self.path, *self._sensor_size())
+        check = StreamCheck(self.named, *self._sensor_size())
         yield from trimmed(map(check, chunks), since)
         check.finish()
 
@@ -278,7 +289,7 @@ class FileRecording:
         size = self.camera.width, self.camera.height
         if all(self.size) and self.size != size:
             raise InputError(
-                self.path,
+                self.named,
                 f"events of a {self.size[0]}x{self.size[1]} sensor with the calibration of a "
                 f"{size[0]}x{size[1]} one",
                 "give this sensor's calibration with --calib FILE",

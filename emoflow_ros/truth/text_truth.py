@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.ecd import read_imu_text, read_table, require_increasing
+from emoflow_ros.readers.text_tables import read_imu_text, read_table, require_increasing
 from emoflow_ros.truth.ground_truth import (
     TAKEN_AS_CAMERA,
     PoseTrack,

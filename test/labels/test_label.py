@@ -236,7 +236,7 @@ def test_recording_that_changed_is_not_resumed(monkeypatch, tmp_path, ecd, capsy
     path = ecd("a")
     interrupt(monkeypatch, tmp_path / "out", path)
     with (path / "events.txt").open("a") as file:
-        file.write("3.0 1 1 1\n")
+        file.write("2.0 1 1 1\n")
     assert call(monkeypatch, tmp_path / "out", path, "--resume") == 1
     assert "of a run with another recording" in capsys.readouterr().err
 
