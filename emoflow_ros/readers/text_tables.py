@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.reader_base import Imu
+from emoflow_ros.readers.stamps import distinct
 
 IMU_FILE = "imu.txt"
 
@@ -16,10 +17,12 @@ def read_imu_text(path: Path) -> Imu:
     """Read ECD's `t ax ay az gx gy gz` in s, m/s^2 and rad/s.
 
     Raises:
-        InputError: lines of another length, or times that do not increase.
+        InputError: lines of another length, or times that go back.
     """
-    stamps, rows = _read_stamped(path, 7, "t ax ay az gx gy gz")
-    return Imu(path.name, stamps, rows[:, 3:], rows[:, :3])
+    rows = read_table(path, 7, "t ax ay az gx gy gz")
+    stamps = np.rint(rows[:, 0] * NS_PER_S).astype(np.int64)
+    kept = distinct(path, stamps)
+    return Imu(path.name, stamps[kept], rows[kept, 4:], rows[kept, 1:4])
 
 
 def read_table(path: Path, columns: int, layout: str) -> NDArray[np.float64]:
@@ -41,27 +44,3 @@ def read_table(path: Path, columns: int, layout: str) -> NDArray[np.float64]:
     if rows.size == 0 or rows.shape[1] != columns:
         raise InputError(path, f"lines of {rows.shape[1]} numbers", fix)
     return rows
-
-
-def _read_stamped(
-    path: Path, columns: int, layout: str
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Read a table whose first column is the time in s: times (N,) in ns, and the other columns.
-
-    Raises:
-        InputError: see `read_table`, or times that do not increase.
-    """
-    rows = read_table(path, columns, layout)
-    stamps = np.rint(rows[:, 0] * NS_PER_S).astype(np.int64)
-    require_increasing(path, stamps)
-    return stamps, rows[:, 1:]
-
-
-def require_increasing(path: Path, stamps: NDArray[np.int64]) -> None:
-    """Check that times (N,) in ns increase.
-
-    Raises:
-        InputError: they do not.
-    """
-    if (np.diff(stamps) <= 0).any():
-        raise InputError(path, "times are not increasing", "sort the lines by time")
