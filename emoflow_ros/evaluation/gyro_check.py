@@ -33,7 +33,7 @@ _ROUNDS = 8
 _INLIER = 3.0  # robust standard deviations beyond which a window counts less
 _FEW = 8
 _SLOW = math.radians(3.0)  # rad/s, spread of the motion below which an axis cannot be found
-# Of the motion's variance, by medians: an unrelated gyro explains up to a third.
+# Of the motion's variance, by medians: an unrelated gyro explains up to a half of a short one.
 _LEAST_EXPLAINED = 0.7
 _DEG_PER_RAD = math.degrees(1.0)
 

@@ -205,7 +205,11 @@ def rectified_camera(path: Path) -> Camera:
         raise InputError(
             path, "holds no intrinsics of camRect0", "unpack the sequence's calibration again"
         ) from None
-    return Camera(width, height, fx, fy, cx, cy)
+    try:
+        return Camera(width, height, fx, fy, cx, cy)
+    except InputError as error:
+        fix = f"{error.fix}, or give a calibration with --calib FILE"
+        raise InputError(path, f"camRect0: {error.wrong}", fix) from None
 
 
 def _read_map(path: Path) -> NDArray[np.float32]:

@@ -199,7 +199,8 @@ def _from_rate(clues: Clues) -> int:
 def _is_expected(clues: Clues, unit: int) -> bool:
     """Whether a unit is the customary one, and its rate usual."""
     is_customary = unit == (clues.of_format or _customary(clues)[0])
-    return is_customary and (clues.count < _FEW or _is_usual(clues, unit))
+    has_rate = clues.count >= _FEW and clues.span > 0
+    return is_customary and (_is_usual(clues, unit) or not has_rate)
 
 
 def _is_usual(clues: Clues, unit: int) -> bool:
