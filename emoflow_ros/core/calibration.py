@@ -75,7 +75,8 @@ def _read_text(
 ) -> tuple[int, int, Sequence[float], str, Sequence[float]]:
     """Read ECD's line: width, height, K, lens model and coefficients."""
     try:
-        values = [float(word) for word in text.split()]
+        lines = (line.partition("#")[0] for line in text.splitlines())
+        values = [float(word) for line in lines for word in line.split()]
     except ValueError:
         raise InputError("text", "holds words that are not numbers", _TEXT_FIX) from None
     if len(values) != 9:

@@ -174,6 +174,7 @@ def _header(source: Source, recording: Recording, settings: Settings) -> Header:
     provenance = {
         "recording": fingerprint(source.path),
         "topic": recording.topic,
+        "columns": str(source.columns or ""),
         "chunks": {"length_s": settings.chunk_s, "margin_s": settings.margin_s},
         "versions": versions(),
     }

@@ -25,7 +25,9 @@ def test_camera_info_yaml(tmp_path):
 
 def test_ecd_text(tmp_path):
     path = tmp_path / "calib.txt"
-    path.write_text("199.1 198.8 132.2 110.7 -0.37 0.15 -0.0003 -0.0008 0.0\n")
+    path.write_text(
+        "# fx fy cx cy k1 ...\n\n199.1 198.8 132.2 110.7 -0.37 0.15 -0.0003 -0.0008 0.0\n"
+    )
     camera = load_calibration(path)
     assert (camera.width, camera.height, camera.model) == (240, 180, "plumb_bob")
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (199.1, 198.8, 132.2, 110.7)
