@@ -209,7 +209,7 @@ def interrupt(monkeypatch, out, path):
     [
         (("--set", "estimator.max_events=2000"), "another configuration"),
         (("--margin-s", "0.15"), "another chunks"),
-        (("--layout", "tyxp"), "another columns"),
+        (("--time-unit", "s"), "another columns"),
     ],
 )
 def test_resumption_of_another_run_is_refused(monkeypatch, tmp_path, ecd, capsys, changed, what):
