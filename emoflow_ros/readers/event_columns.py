@@ -10,6 +10,7 @@ from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 
 _FURTHEST_NS = 9e18
+_CLOCK_NS = 1000  # of event cameras
 
 
 def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
@@ -24,6 +25,9 @@ def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
 def times_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
     """Convert times of any numeric type in units of so many ns.
 
+    Numbers with decimals are coarse far from zero: seconds since 1970 have steps of 240 ns. Where
+    all are whole microseconds but for that, as event cameras count, they become these.
+
     Raises:
         InputError: a time that is not finite, or further than centuries from zero.
     """
@@ -32,5 +36,22 @@ def times_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.in
     if not (np.abs(ns) < _FURTHEST_NS).all():
         raise InputError(path, "event times that are not finite", "copy it again")
     if t.dtype.kind == "f":
-        return np.rint(ns).astype(np.int64)
+        counted = _as_counted(t, unit)
+        return np.rint(ns).astype(np.int64) if counted is None else counted
     return t.astype(np.int64) * unit
+
+
+def _as_counted(t: NDArray[Any], unit: int) -> NDArray[np.int64] | None:
+    """Return times in ns without what the steps of their type have made of whole microseconds.
+
+    None where the type is fine enough, or they are not whole microseconds.
+    """
+    step_ns = float(np.spacing(np.abs(t).max())) * unit if np.size(t) else 0.0
+    if step_ns <= 1:
+        return None
+    us = t.astype(np.float64) * (unit / _CLOCK_NS)
+    counted = np.rint(us)
+    if (np.abs(us - counted) > step_ns / _CLOCK_NS).any():
+        return None
+    whole: NDArray[np.int64] = counted.astype(np.int64) * _CLOCK_NS
+    return whole

@@ -185,3 +185,17 @@ def test_short_run_of_make_fuzz():
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr[-3000:]
     assert ran.stdout == "== columns: 40 files, all read\n"
+
+
+@pytest.mark.parametrize("shift_ns", [100_000, 23 * 10**9 + 7000, 10**18])
+def test_a_shift_of_the_clock_changes_nothing_else(tmp_path, events, shift_ns):
+    """Also of seconds as numbers with decimals, which resolve 0.1 us after 10^9 s."""
+    moved = Events(events.x, events.y, events.t + shift_ns, events.p)
+    digits = write_text(tmp_path / "events.txt", moved)
+    rows = [f"{t // 10**9}.{t % 10**9:09d} {x} {y} {int(p)}\n" for x, y, t, p in columns_of(moved)]
+    digits.write_text("".join(rows))
+    assert_equal(read_all(digits), moved)
+
+
+def columns_of(events):
+    return zip(*(c.tolist() for c in (events.x, events.y, events.t, events.p)), strict=True)
