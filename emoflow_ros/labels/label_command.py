@@ -44,7 +44,8 @@ examples:
   label dsec/train/* --out labels --ray 10.0.0.1:6379 --workers 64 --resume
 
 writes DIR/<name of INPUT>.h5 per recording (docs/labels.md).
-exit codes: 0 done, 1 some recordings could not be labelled (they are listed), 2 bad input,
+exit codes: 0 done, 1 some recordings could not be labelled, or have no window with an estimate
+(they are listed), 2 bad input,
 130 interrupted (finished chunks are kept: the same command with --resume continues), 141 nobody
 reads the output.
 """

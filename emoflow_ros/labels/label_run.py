@@ -201,18 +201,26 @@ def _jobs(plans: list[RecordingPlan]) -> Iterator[Job]:
 
 
 def _finish(plan: RecordingPlan) -> None:
-    """Join the chunks of a recording, if that is not done yet, and remove them."""
-    if plan.error or not plan.parts:
+    """Join the chunks of a recording, if that is not done yet, and remove them.
+
+    A file without any label is kept, since it says why, but its recording counts as failed.
+    """
+    if plan.error:
         return
     try:
-        merge(plan.parts, plan.target)
+        if plan.parts:
+            merge(plan.parts, plan.target)
         with h5py.File(plan.target) as file:
             status = file["status"].asstr()[:]
     except OSError as error:
         _fail(plan, f"{plan.target}: cannot be written ({error}); give another --out")
         return
-    shutil.rmtree(plan.parts[0].parent)
-    tqdm.write(f"{plan.target}: {sum(status == Status.OK)} of {len(status)} windows estimated")
+    if plan.parts:
+        shutil.rmtree(plan.parts[0].parent)
+        tqdm.write(f"{plan.target}: {sum(status == Status.OK)} of {len(status)} windows estimated")
+    if not any(status == Status.OK):
+        wrong = f"none of its {len(status)} windows could be estimated"
+        _fail(plan, f"{plan.source.path}: {wrong}; {plan.target} says why")
 
 
 def _fail(plan: RecordingPlan, error: str) -> None:
