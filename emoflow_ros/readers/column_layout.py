@@ -27,11 +27,14 @@ _ALL = (
 _LARGEST_SENSOR = 4096  # px a side
 _LARGEST_COORDINATE = 1 << 16
 _SHARE = 0.9  # of the rows that a column's meaning has to hold for
-_ALIASES = {
-    "t": "t", "ts": "t", "time": "t", "timestamp": "t", "timestamps": "t",
-    "x": "x", "xs": "x", "y": "y", "ys": "y",
-    "p": "p", "ps": "p", "pol": "p", "polarity": "p",
-}  # fmt: skip
+# The names that data sets and tools give each column.
+COLUMN_NAMES = {
+    "x": ("x", "xs"),
+    "y": ("y", "ys"),
+    "t": ("t", "ts", "time", "timestamp", "timestamps"),
+    "p": ("p", "ps", "pol", "polarity", "polarities"),
+}
+_ALIASES = {name: letter for letter, names in COLUMN_NAMES.items() for name in names}
 
 
 @dataclass(frozen=True)

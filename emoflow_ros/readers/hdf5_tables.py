@@ -8,10 +8,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.readers.column_layout import in_order, tell_layout
+from emoflow_ros.readers.column_layout import COLUMN_NAMES, in_order, tell_layout
 
-# The names that data sets give each column.
-_NAMES = (("x", "xs"), ("y", "ys"), ("t", "ts", "timestamp"), ("p", "ps", "pol", "polarity"))
+_NAMES = tuple(COLUMN_NAMES.values())
 _TABLE_COLUMNS = 4
 _SAMPLE = 1000
 _EVENTS = "events"  # what a table of events is called

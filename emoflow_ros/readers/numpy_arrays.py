@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import (
+    COLUMN_NAMES,
     USUAL_LAYOUT,
     ColumnOptions,
     in_order,
@@ -124,11 +125,10 @@ def _load(path: Path) -> Arrays:
                 return {_TABLES[0]: np.lib.format.read_array(file, allow_pickle=False)}
         loaded = np.load(path, allow_pickle=False)
         with loaded as archive:
-            known = {"x", "y", "t", "p", *_UNITS, *_SIZES, *_TABLES}
-            for name in known.intersection(archive.files):
+            for name, letter in _members(archive.files):
                 value = archive[name]
                 if isinstance(value, np.ndarray):  # other members come as bytes
-                    arrays[name] = value
+                    arrays[letter] = value
             if not arrays:
                 there = ", ".join(archive.files) or "nothing"
                 raise InputError(path, f"no arrays x, y, t and p; it holds {there}", _LAYOUT)
@@ -139,6 +139,13 @@ def _load(path: Path) -> Arrays:
         part = f" ({name} cannot be read)" if name and is_archive else ""
         raise InputError(path, f"damaged NumPy {kind}{part}", "copy it again") from None
     return arrays
+
+
+def _members(files: list[str]) -> Iterator[tuple[str, str]]:
+    """Yield the members that have a meaning, each with the name that it is known by here."""
+    for letter, names in COLUMN_NAMES.items():
+        yield from [(name, letter) for name in names if name in files][:1]
+    yield from ((name, name) for name in (*_UNITS, *_SIZES, *_TABLES) if name in files)
 
 
 def _named(arrays: Arrays) -> bool:

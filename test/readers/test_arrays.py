@@ -98,6 +98,13 @@ def test_columns_of_one_row_each(tmp_path, events):
     assert_equal(read_all(tmp_path / "a.h5"), events)
 
 
+def test_other_names_in_an_archive(tmp_path, events):
+    t = events.t // 1000
+    names = {"xs": events.x, "ys": events.y, "timestamps": t, "polarity": events.p}
+    np.savez(tmp_path / "a.npz", **names)
+    assert_equal(read_all(tmp_path / "a.npz"), events)
+
+
 @pytest.mark.parametrize("transposed", [False, True])
 @pytest.mark.parametrize("name", ["a.npy", "a.npz"])
 def test_table_of_any_order(tmp_path, events, transposed, name, capsys):
