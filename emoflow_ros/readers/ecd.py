@@ -85,11 +85,20 @@ class EcdRecording(FileRecording):
         given = self.options.layout or head.names
         layout = tell_layout(self.named, head.rows, given)
         order = in_order(layout)
-        t = head.rows[:, order[_COLUMNS.index("t")]]
+        t_column = order[_COLUMNS.index("t")]
         told = "" if given or layout == USUAL_LAYOUT else " ".join(layout)
         declared = self.options.time_unit
-        clues = Clues(self.named, t, head.count, declared, told=told, of_format=S)
-        unit = tell_unit(clues)
+        unit = tell_unit(
+            Clues(
+                self.named,
+                head.rows[:, t_column],
+                head.count,
+                declared,
+                told=told,
+                has_point=bool(head.points[t_column]),
+                of_format=S,
+            )
+        )
         self.encoding = f"{' '.join(layout)}, t in {unit_name(unit)}"
         return order, unit
 

@@ -27,6 +27,7 @@ class TextHead:
         begin: the byte that the first row begins at.
         rows: (M, columns) the first 1000 rows, M > 0, and the last row behind them.
         count: of all rows; estimated by the length of these where there are more.
+        points: (columns,) whether the first one has a decimal point.
         names: the layout by a line of names; empty without one.
         size: (width, height) where the first line holds only these; else (0, 0).
     """
@@ -34,6 +35,7 @@ class TextHead:
     begin: int
     rows: NDArray[np.float64]
     count: int
+    points: NDArray[np.bool_]
     names: str
     size: tuple[int, int]
 
@@ -64,6 +66,7 @@ def read_head(path: Path) -> TextHead:
     with path.open("rb") as file:
         names, size = "", (0, 0)
         rows: list[list[float]] = []
+        points: list[bool] = []
         begin = end = 0
         for at, line in _rows(file):
             words = decoded(path, plain(line)).split()
@@ -72,7 +75,8 @@ def read_head(path: Path) -> TextHead:
                 size = _size(words)
                 if names or any(size):
                     continue
-            begin = at if not rows else begin
+            if not rows:
+                begin, points = at, ["." in word for word in words]
             rows.append(numbers(path, words))
             end = at + len(line)
             if len(rows) == _ROWS:
@@ -92,7 +96,7 @@ def read_head(path: Path) -> TextHead:
     count = len(first)
     if count == _ROWS:
         count = round(count * (length - begin) / (end - begin))
-    return TextHead(begin, np.array(rows), count, names, size)
+    return TextHead(begin, np.array(rows), count, np.array(points), names, size)
 
 
 def decoded(path: Path, text: bytes) -> str:

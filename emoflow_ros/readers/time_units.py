@@ -49,6 +49,7 @@ class Clues:
         declared: its unit in words, as the file or the user says it; empty where nobody does.
         milliseconds: the length of an index of milliseconds beside it; 0 without one.
         told: the order of the columns, where their values had to tell it.
+        has_point: whether a text writes them with a decimal point, also where they are whole.
         of_format: nanoseconds of the unit that the file's format prescribes; None where it does
             not.
     """
@@ -59,6 +60,7 @@ class Clues:
     declared: str = ""
     milliseconds: int = 0
     told: str = ""
+    has_point: bool = False
     of_format: int | None = None
 
     @property
@@ -68,8 +70,10 @@ class Clues:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all values are whole numbers, of whatever type."""
+        """Whether all values are whole numbers, of whatever type, and written as such."""
         values = self.sample
+        if self.has_point:
+            return False
         if values.dtype.kind != "f":
             return True
         largest = np.abs(values).max()

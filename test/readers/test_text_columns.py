@@ -199,3 +199,10 @@ def test_a_shift_of_the_clock_changes_nothing_else(tmp_path, events, shift_ns):
 
 def columns_of(events):
     return zip(*(c.tolist() for c in (events.x, events.y, events.t, events.p)), strict=True)
+
+
+def test_whole_numbers_with_a_point_are_seconds(tmp_path):
+    (tmp_path / "events.txt").write_text("1.0 1 1 1\n2.0 2 2 0\n")
+    assert read_all(tmp_path).t.tolist() == [10**9, 2 * 10**9]
+    (tmp_path / "events.txt").write_text("1 1 1 1\n2 2 2 0\n")
+    assert read_all(tmp_path).t.tolist() == [1000, 2000]
