@@ -56,6 +56,7 @@ fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris,
 	python test/msg_adapters/fuzz_decoders.py
 	python test/readers/fuzz_readers.py --runs 1000
 	python test/readers/fuzz_variants.py --runs 1000
+	python test/readers/fuzz_columns.py --runs 1000
 
 soak: messages  ## the tests that take minutes, and random faults for an hour; SOAK_S=180: for 180 s
 	@$(ENV)

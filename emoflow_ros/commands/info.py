@@ -16,6 +16,7 @@ from emoflow_ros.commands.info_contents import (
     Extras,
     ImuInfo,
     TruthInfo,
+    apart,
     file_extras,
     section_lines,
     table_lines,
@@ -28,6 +29,8 @@ from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording, unorde
 from emoflow_ros.readers.bag import BagRecording
 from emoflow_ros.readers.bag_events import TopicDecoder, event_connections
 from emoflow_ros.readers.bag_files import Bag, open_bag, read_messages
+from emoflow_ros.readers.column_arguments import add_column_options, column_options
+from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.readers.stream_check import MAX_UNORDERED_SHARE
 
@@ -60,13 +63,14 @@ def main() -> int:
     return run(lambda: _main(_parser().parse_args()))
 
 
-def inspect(path: Path) -> Info:
-    """Read a whole recording and count.
+def inspect(path: Path, columns: ColumnOptions | None = None) -> Info:
+    """Read a whole recording and count; `columns` as for `open_recording`.
 
     Raises:
         InputError: it cannot be read.
     """
-    info = _inspect_bag(path) if BagRecording.matches(path) else _inspect_file(path)
+    is_bag = BagRecording.matches(path) and not columns  # of bags the options are refused
+    info = _inspect_bag(path) if is_bag else _inspect_file(path, columns)
     if not info.topics:
         info.missing.append("no topic of a known event type")
     info.missing += [f"{t.name or 'file'}: no events" for t in info.topics if t.events == 0]
@@ -80,18 +84,9 @@ def inspect(path: Path) -> Info:
         for t in info.topics
         if t.unordered > MAX_UNORDERED_SHARE * (t.events + t.unordered)
     ]
-    info.missing += [f"{t.name}: {problem}" for t in info.truth if (problem := _apart(info, t))]
-    return info
-
-
-def _apart(info: Info, truth: TruthInfo) -> str | None:
-    """Say whether a truth overlaps with no events in time; None where it does."""
-    if truth.t_first is None or truth.t_last is None:
-        return None
     spans = [(t.t_first, t.t_last) for t in info.topics if t.t_first is not None]
-    if not spans or any(a < truth.t_last and truth.t_first < (b or a) for a, b in spans):
-        return None
-    return "does not overlap with the events in time: of another clock, or another recording"
+    info.missing += [f"{t.name}: {problem}" for t in info.truth if (problem := apart(t, spans))]
+    return info
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -102,12 +97,13 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("input", type=Path, help=KNOWN_FORMATS)
+    add_column_options(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 
 def _main(args: argparse.Namespace) -> None:
-    info = inspect(args.input)
+    info = inspect(args.input, column_options(args))
     if args.json:
         print(json.dumps(asdict(info), indent=2))
     else:
@@ -166,7 +162,8 @@ def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
         with BagRecording(path, topic=topic.name) as recording:
             camera = recording.camera
     except InputError as error:
-        return f"camera_info cannot be used ({error})"
+        reason = str(error).removeprefix(f"{path} ")
+        return f"camera_info cannot be used ({reason})"
     if camera is None:
         return _NO_CALIBRATION
     if topic.width and (camera.width, camera.height) != (topic.width, topic.height):
@@ -174,11 +171,11 @@ def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
     return None
 
 
-def _inspect_file(path: Path) -> Info:
+def _inspect_file(path: Path, columns: ColumnOptions | None) -> Info:
     info = Info(str(path))
     several = ColumnsRecording.matches(path)
     for name in ColumnsRecording.topics(path) if several else [None]:
-        with open_recording(path, topic=name) as recording:
+        with open_recording(path, topic=name, columns=columns) as recording:
             if not info.topics:
                 _take_extras(info, file_extras(recording))
             info.topics.append(_count_file(recording))

@@ -13,8 +13,8 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.readers import Recording
 from emoflow_ros.readers.bag_files import Bag, read_messages, serialization
 from emoflow_ros.readers.bag_imu import IMU_TYPE, header_stamp, read_imu
-from emoflow_ros.readers.ecd import IMU_FILE, read_imu_text
 from emoflow_ros.readers.reader_base import Imu
+from emoflow_ros.readers.text_tables import IMU_FILE, read_imu_text
 from emoflow_ros.truth import truth_beside
 from emoflow_ros.truth.bag_truth import DEPTH_NAMES, IMAGE, POSE_TYPES
 from emoflow_ros.truth.text_truth import is_tum, read_poses
@@ -161,6 +161,21 @@ def section_lines(title: str, rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     yield title if rows else f"{title}: none"
     if rows:
         yield from table_lines(rows)
+
+
+def apart(truth: TruthInfo, spans: Sequence[tuple[float | None, float | None]]) -> str | None:
+    """Say whether a truth overlaps with no events in time; None where it does.
+
+    Args:
+        truth: one source.
+        spans: the first and last time of each stream of events, s.
+    """
+    if truth.t_first is None or truth.t_last is None:
+        return None
+    known = [(a, a if b is None else b) for a, b in spans if a is not None]
+    if not known or any(a < truth.t_last and truth.t_first < (b or a) for a, b in known):
+        return None
+    return "does not overlap with the events in time: of another clock, or another recording"
 
 
 def _describe_truth(path: Path) -> TruthInfo:

@@ -58,7 +58,6 @@ class RecordingPlan:
         parts: the files of all chunks, in order; none where the label file is there already.
         jobs: chunks that are left to do.
         error: why it could not be labelled.
-        estimated: windows of the new label file that have an estimate; None where it is not made.
     """
 
     source: Source
@@ -66,7 +65,6 @@ class RecordingPlan:
     parts: list[Path] = field(default_factory=list)
     jobs: list[Job] = field(default_factory=list)
     error: str = ""
-    estimated: int | None = None
 
 
 def label_all(sources: Sequence[Source], settings: Settings, run: JobRunner) -> list[RecordingPlan]:
@@ -177,6 +175,7 @@ def _header(source: Source, recording: Recording, settings: Settings) -> Header:
     provenance = {
         "recording": fingerprint(source.path),
         "topic": recording.topic,
+        "columns": str(source.columns or ""),
         "chunks": {"length_s": settings.chunk_s, "margin_s": settings.margin_s},
         "versions": versions(),
     }
@@ -203,24 +202,30 @@ def _jobs(plans: list[RecordingPlan]) -> Iterator[Job]:
 
 
 def _finish(plan: RecordingPlan) -> None:
-    """Join the chunks of a recording, if that is not done yet, and remove them."""
+    """Join the chunks of a recording, if that is not done yet, and remove them.
+
+    A file without any label is kept, since it says why, but its recording counts as failed.
+    """
     if plan.error:
         return
-    if not plan.parts:
-        tqdm.write(f"{plan.target}: there already")
-        return
     try:
-        merge(plan.parts, plan.target)
+        if plan.parts:
+            merge(plan.parts, plan.target)
         with h5py.File(plan.target) as file:
             status = file["status"].asstr()[:]
-            left_out = int(file.attrs[UNORDERED])
+            left_out = int(file.attrs.get(UNORDERED, 0))
     except OSError as error:
         _fail(plan, f"{plan.target}: cannot be written ({error}); give another --out")
         return
-    shutil.rmtree(plan.parts[0].parent)
-    plan.estimated = int(sum(status == Status.OK))
-    said = outcome(plan.estimated, len(status), left_out)
-    tqdm.write(f"{plan.target}: {said}")
+    ok = int(sum(status == Status.OK))
+    if plan.parts:
+        shutil.rmtree(plan.parts[0].parent)
+        tqdm.write(f"{plan.target}: {outcome(ok, len(status), left_out)}")
+    else:
+        tqdm.write(f"{plan.target}: there already")
+    if not ok:
+        wrong = f"none of its {len(status)} windows could be estimated"
+        _fail(plan, f"{plan.source.path}: {wrong}; {plan.target} says why")
 
 
 def _fail(plan: RecordingPlan, error: str) -> None:

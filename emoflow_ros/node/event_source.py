@@ -13,7 +13,6 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo
 
-from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Level, Statistics
@@ -215,17 +214,6 @@ class EventSource:
         self._node.get_logger().error(
             self._statistics.problems["qos"][1], throttle_duration_sec=_THROTTLE_S
         )
-
-
-def to_camera(info: CameraInfo) -> Camera:
-    """Build the camera model.
-
-    Raises:
-        InputError: the camera is not calibrated, or its lens model is unknown.
-    """
-    return Camera.from_intrinsic_matrix(
-        info.width, info.height, info.k, info.distortion_model, info.d
-    )
 
 
 def _kind(profile: QoSProfile) -> str:

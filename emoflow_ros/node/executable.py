@@ -35,8 +35,8 @@ topics out:
   /diagnostics                                       what is wrong, rates, latency, losses
 
 Nothing is estimated without a calibration: where nobody publishes camera_info, give a
-camera_info YAML (or ECD calib.txt) by camera.calibration_file. Events without a size of their
-own, as in PointCloud2, take that of the calibration.
+calibration file (camera_info YAML, Kalibr, OpenCV, ECD) by camera.calibration_file. Events
+without a size of their own, as in PointCloud2, take that of the calibration.
 
 Topics and parameters are given as ROS arguments:
   estimator --ros-args -r events:=/davis/left/events -p camera.calibration_file:=calib.yaml

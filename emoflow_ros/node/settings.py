@@ -82,7 +82,8 @@ class CameraOptions:
 
     calibration_file: str = option(
         "",
-        "camera_info YAML or ECD calib.txt, as a path, file:// or package:// URL; empty listens to "
+        "camera_info YAML, Kalibr camchain, OpenCV YAML or ECD calib.txt, as a path, file:// or "
+        "package:// URL; empty listens to "
         "the topic `camera_info`",
     )
     frame_id: str = option(

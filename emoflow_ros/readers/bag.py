@@ -6,15 +6,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.bag_camera import camera_beside
 from emoflow_ros.readers.bag_events import TopicDecoder, choose_events
-from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
+from emoflow_ros.readers.bag_files import open_bag, read_messages
 from emoflow_ros.readers.bag_folder import is_bag
 from emoflow_ros.readers.bag_imu import choose_imu, read_imu
-from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, trimmed
+from emoflow_ros.readers.reader_base import ANY_SIZE, Imu, read_camera, trimmed
 from emoflow_ros.readers.stream_check import StreamCheck
 from msg_adapters import DecodeError, EventMessage
 from msg_adapters.formats import event_array
@@ -39,7 +38,9 @@ class BagRecording:
             self._connections = choose_events(path, self._bag, topic)
             self.topic = self._connections[0].topic
             self.camera = (
-                load_calibration(calibration) if calibration else self._camera_beside_events()
+                read_camera(calibration)
+                if calibration
+                else camera_beside(path, self._bag, self.topic)
             )
             self.duration: float | None = self._bag.duration / NS_PER_S
             self.check: StreamCheck | None = None
@@ -122,18 +123,6 @@ class BagRecording:
                 "give this sensor's calibration with --calib FILE",
             )
         return size
-
-    def _camera_beside_events(self) -> Camera | None:
-        """Read the first message of the camera_info topic in the event topic's namespace."""
-        name = self.topic.rpartition("/")[0] + "/camera_info"
-        found = [c for c in self._bag.connections if c.topic == name]
-        for connection, _, data in read_messages(self.path, self._bag, found) if found else ():
-            info = deserialize(self._bag, connection, data)
-            k, d = (info.K, info.D) if hasattr(info, "K") else (info.k, info.d)
-            return Camera.from_intrinsic_matrix(
-                info.width, info.height, k, info.distortion_model, d
-            )
-        return None
 
 
 def _log_time_before(

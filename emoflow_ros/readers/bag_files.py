@@ -1,6 +1,5 @@
 """A bag of any kind, opened and read without ROS."""
 
-import sys
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache
@@ -15,7 +14,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_typestore
 
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, say
 from emoflow_ros.readers.bag_folder import ZSTD_MAGIC, Storage, checked_kind, files_of, unpacked
 from emoflow_ros.readers.mcap_storage import McapStorage
 from emoflow_ros.readers.unfinished_bags import finished_database, finished_ros1
@@ -112,7 +111,7 @@ class Bag:
         """Decompress a message that is compressed; none in CDR begins with these bytes."""
         if not data.startswith(ZSTD_MAGIC) or serialization(connection) != "cdr":
             return data
-        say_once(f"{self.path}: its messages are compressed one by one (zstd)")
+        say(self.path, "its messages are compressed one by one (zstd)")
         return bytes(zstd.decompress(data))
 
 
@@ -129,7 +128,7 @@ def open_bag(path: Path) -> Generator[Bag]:
     """
     files, notes = files_of(path)
     for note in notes:
-        say_once(note)
+        say(path, note)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         storages = [_opened(file, folder, stack) for file in files]
@@ -159,9 +158,10 @@ def _opened(file: Path, folder: Path, stack: ExitStack) -> tuple[Storage, _Stora
     if instead or (kind is Storage.MCAP and storage.is_cut):
         count = sum(connection.msgcount for connection in storage.connections)
         seconds = max(0, times.end_time - times.start_time) / 1e9
-        say_once(
-            f"{file}: cut off while recording; read as far as it is whole: {count} messages in "
-            f"{seconds:.1f} s"
+        say(
+            file,
+            f"cut off while recording; read as far as it is whole: {count} messages in "
+            f"{seconds:.1f} s",
         )
     return kind, storage, times.start_time, times.end_time
 
@@ -223,12 +223,6 @@ def deserialize(bag: Bag, connection: Connection, data: bytes) -> Any:
 
 def _key(connection: Connection) -> tuple[str, str, str | None]:
     return connection.topic, connection.msgtype, serialization(connection)
-
-
-@cache
-def say_once(line: str) -> None:
-    """Print a line on standard error, unless it was printed before."""
-    print(line, file=sys.stderr)
 
 
 @cache

@@ -99,13 +99,13 @@ def _named_files(path: Path, names: list[str], there: list[Path]) -> BagFiles:
         twins[missing[0]] = spare.pop()
     files = [(n, f) for n, f in twins.items() if f]
     notes = [
-        f"{path}: metadata.yaml names {name}, which is not there; {file.name} is read in its place"
+        f"metadata.yaml names {name}, which is not there; {file.name} is read in its place"
         for name, file in files
         if name != file.name
     ]
     if spare:
         lying = ", ".join(f.name for f in spare)
-        notes.append(f"{path}: metadata.yaml does not name {lying}, which is left out")
+        notes.append(f"metadata.yaml does not name {lying}, which is left out")
     return BagFiles([file for _, file in files], notes)
 
 

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, say
+from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.stream_check import StreamCheck
 
-_FURTHEST_NS = 9e18
-ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
+# Of an unknown sensor: coordinates are 16-bit, and the largest one stands for all outside.
+ANY_SIZE = int(np.iinfo(np.uint16).max)
 
 
 @dataclass(frozen=True)
@@ -104,15 +105,6 @@ class Recording(Protocol):
     ) -> None: ...
 
 
-def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    if values.dtype == np.uint16:
-        return values
-    largest = np.iinfo(np.uint16).max
-    fits = (values >= 0) & (values < largest)
-    return np.where(fits, values, largest).astype(np.uint16)
-
-
 def refuse_imu_topic(path: Path, topic: str | None) -> None:
     """Refuse an IMU topic that is given for a recording that is no bag.
 
@@ -132,17 +124,16 @@ def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:
             yield events[int(np.searchsorted(events.t, since)) :]
 
 
-def to_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
-    """Convert times of a floating-point type in units of so many ns.
+def read_camera(path: Path) -> Camera:
+    """Read a calibration file, and say what was assumed of it.
 
     Raises:
-        InputError: a time that is not finite, or further than centuries from zero.
+        InputError: see `load_calibration`.
     """
-    with np.errstate(all="ignore"):
-        ns = t.astype(np.float64) * unit
-    if not (np.abs(ns) < _FURTHEST_NS).all():
-        raise InputError(path, "event times that are not finite", "copy it again")
-    return np.rint(ns).astype(np.int64)
+    camera = load_calibration(path)
+    if camera.note:
+        say(path, camera.note)
+    return camera
 
 
 def require_camera(recording: Recording) -> Camera:
@@ -155,7 +146,7 @@ def require_camera(recording: Recording) -> Camera:
         raise InputError(
             recording.path,
             "holds no camera calibration",
-            "give one with --calib FILE (camera_info YAML or ECD calib.txt)",
+            "give one with --calib FILE (camera_info YAML, Kalibr, OpenCV or ECD calib.txt)",
         )
     return recording.camera
 
@@ -169,23 +160,32 @@ class FileRecording:
     """A single file with one stream of events; a subclass opens it and yields its events.
 
     Attributes:
+        options: what the user says of columns that do not say it themselves.
         file_name: of the file that holds the events.
+        named: the file that errors name.
         stack: closes what the subclass opens.
         size: (width, height) as the file gives it; (0, 0) where it gives none.
     """
 
     def __init__(
-        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+        self,
+        path: Path,
+        *,
+        topic: str | None = None,
+        calibration: Path | None = None,
+        columns: ColumnOptions | None = None,
     ) -> None:
         if topic is not None:
             raise InputError(path, "a file of one stream has no topics", "leave --topic out")
         self.path = path
         self.topic = ""
         self.file_name = path.name
-        self.camera = load_calibration(calibration) if calibration else None
+        self.named = path
+        self.camera = read_camera(calibration) if calibration else None
         self.duration: float | None = None
         self.check: StreamCheck | None = None
         self.size = (0, 0)
+        self.options = columns or ColumnOptions()
         self.stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -210,7 +210,7 @@ class FileRecording:
         Raises:
             InputError: the calibration is of another size, or see StreamCheck.
         """
-        self.check = check = StreamCheck(self.path, *self._sensor_size())
+        self.check = check = StreamCheck(self.named, *self._sensor_size())
         yield from trimmed(map(check, chunks), since)
         yield from trimmed([check.finish()], since)
 
@@ -220,7 +220,7 @@ class FileRecording:
         size = self.camera.width, self.camera.height
         if all(self.size) and self.size != size:
             raise InputError(
-                self.path,
+                self.named,
                 f"events of a {self.size[0]}x{self.size[1]} sensor with the calibration of a "
                 f"{size[0]}x{size[1]} one",
                 "give this sensor's calibration with --calib FILE",

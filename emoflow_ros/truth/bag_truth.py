@@ -1,6 +1,7 @@
 """Ground truth from a bag: poses and, where there are depth images, flow."""
 
 from contextlib import ExitStack
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.bag_files import Bag, deserialize, open_bag, read_messages
+from emoflow_ros.readers.stamps import distinct
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow
 from emoflow_ros.truth.ground_truth import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, Truth, pose_track
 
@@ -108,13 +110,13 @@ def _read_track(path: Path, reader: Bag, connections: list[Connection]) -> tuple
         rows.append((_stamp(message), (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
     if not rows:
         raise InputError(path, f"no messages on {connections[0].topic}", "record it again")
-    stamps, positions, quaternions = zip(*sorted(rows), strict=True)
-    unique = np.unique(np.array(stamps, np.int64), return_index=True)[1]
+    stamps, positions, quaternions = zip(*sorted(rows, key=itemgetter(0)), strict=True)
+    kept = distinct(f"{path} {connections[0].topic}", np.array(stamps, np.int64))
     track = pose_track(
         path,
-        np.array(stamps, np.int64)[unique],
-        np.array(positions, np.float64)[unique],
-        np.array(quaternions, np.float64)[unique],
+        np.array(stamps, np.int64)[kept],
+        np.array(positions, np.float64)[kept],
+        np.array(quaternions, np.float64)[kept],
     )
     return track, note
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
+from emoflow_ros.readers.stamps import distinct
 from emoflow_ros.truth.ground_truth import FlowSource, PoseTrack, TrueFlow
 
 _KEPT_MAPS = 8
@@ -64,7 +65,9 @@ class PropagatedFlow:
     def __init__(self, maps: FlowMaps, *, published: bool = False) -> None:
         self._maps = maps
         self._published = published
-        self.stamps = maps.stamps
+        # Of two maps with one stamp the last one leads to the next stamp.
+        self._indices = distinct(maps.name, maps.stamps, keep_last=True)
+        self.stamps = maps.stamps[self._indices]
         self._kept: OrderedDict[int, _Map] = OrderedDict()
         self.description = f"flow: {maps.name}, propagated by nearest neighbour from map to map"
         if published:
@@ -100,7 +103,8 @@ class PropagatedFlow:
 
     def _map(self, index: int) -> _Map:
         if index not in self._kept:
-            self._kept[index] = _Map(self._maps.read(index), self._maps.moving(index))
+            read = int(self._indices[index])
+            self._kept[index] = _Map(self._maps.read(read), self._maps.moving(read))
             if len(self._kept) > _KEPT_MAPS:
                 self._kept.popitem(last=False)
         return self._kept[index]

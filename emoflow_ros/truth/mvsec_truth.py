@@ -18,6 +18,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import holds, open_hdf5, refuse
+from emoflow_ros.readers.stamps import distinct
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, FlowMaps, PropagatedFlow
 from emoflow_ros.truth.ground_truth import PoseTrack, PoseTwist, TrueTwist, Truth
 
@@ -87,8 +88,9 @@ def _read_track(path: Path, file: h5py.File) -> PoseTrack:
     stamps = _stamps(file, _POSE)
     if poses.shape != (len(stamps), 4, 4):
         raise InputError(path, f"{_POSE} of shape {poses.shape}", "give MVSEC's *_gt.hdf5")
-    stamps, unique = np.unique(stamps, return_index=True)
-    poses = poses[unique]
+    order = np.argsort(stamps, kind="stable")
+    kept = order[distinct(f"{path} {_POSE}", stamps[order])]
+    stamps, poses = stamps[kept], poses[kept]
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     return PoseTrack(stamps, poses[:, :3, 3], rotations.as_quat())
 
@@ -221,10 +223,10 @@ class SmoothedOdometry:
             raise InputError(
                 path, "timestamps, lin_vel and ang_vel differ in length", _ODOMETRY_FIX
             )
-        if (np.diff(seconds) <= 0).any():
-            raise InputError(path, "times are not increasing", _ODOMETRY_FIX)
-        self.stamps = np.rint(seconds * NS_PER_S).astype(np.int64)
-        self._values = np.hstack([angular, linear])
+        stamps = np.rint(seconds * NS_PER_S).astype(np.int64)
+        kept = distinct(path, stamps)
+        self.stamps = stamps[kept]
+        self._values = np.hstack([angular, linear])[kept]
         self.description = (
             f"velocity: {path.name}, smoothed by the data set (recursive mean over 21 frames), "
             "linear between its stamps"

@@ -123,7 +123,7 @@ def test_clouds_without_events_are_another_topic(tmp_path):
     [
         ((32, 24), 20.0, None),
         ((64, 48), 20.0, "camera_info is of a 64x48 sensor"),
-        ((32, 24), 0.0, "camera_info cannot be used (camera: focal lengths fx=0.0"),
+        ((32, 24), 0.0, "camera_info cannot be used (/cam/camera_info: focal lengths fx=0.0"),
     ],
 )
 def test_camera_info_that_does_not_serve(tmp_path, make_events, size, focal, words):

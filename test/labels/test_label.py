@@ -28,6 +28,7 @@ class Remembering:
     interrupt_after = None
     late = 0
     seen = ()
+    status = Status.OK
 
     def __init__(self):
         self.memory = 0.0
@@ -43,7 +44,7 @@ class Remembering:
             window.t_start + self.late,
             window.t_end,
             (window.t_start + window.t_end) // 2,
-            Status.OK,
+            self.status,
             Quality(events=len(window.events), iterations=7, stop_reason="converged", warm=True),
             MotionModel.ROTATION,
             angular=np.array([self.memory, 0, 0]),
@@ -87,6 +88,18 @@ def call(monkeypatch, out, *arguments):
 def rows(path, *names):
     columns = read_estimates(path).columns
     return [columns[name].tolist() for name in names]
+
+
+def test_a_recording_without_any_label_has_failed(monkeypatch, tmp_path, ecd, capsys):
+    """It ends with 1, and its file is kept: it says why of each window."""
+    monkeypatch.setattr(Remembering, "status", Status.TOO_FEW_EVENTS)
+    path = ecd("dark")
+    for more in ((), ("--resume",)):
+        assert call(monkeypatch, tmp_path / "out", path, *more) == 1
+        target = tmp_path / "out" / "dark.h5"
+        line = f"{path}: none of its 19 windows could be estimated; {target} says why"
+        assert line in capsys.readouterr().err
+        assert rows(target, "status") == [["too_few_events"] * 19]
 
 
 def test_file_of_a_recording(monkeypatch, tmp_path, ecd, capsys):
@@ -210,6 +223,7 @@ def interrupt(monkeypatch, out, path):
     [
         (("--set", "estimator.max_events=2000"), "another configuration"),
         (("--margin-s", "0.15"), "another chunks"),
+        (("--time-unit", "s"), "another columns"),
     ],
 )
 def test_resumption_of_another_run_is_refused(monkeypatch, tmp_path, ecd, capsys, changed, what):
@@ -237,7 +251,7 @@ def test_recording_that_changed_is_not_resumed(monkeypatch, tmp_path, ecd, capsy
     path = ecd("a")
     interrupt(monkeypatch, tmp_path / "out", path)
     with (path / "events.txt").open("a") as file:
-        file.write("3.0 1 1 1\n")
+        file.write("2.0 1 1 1\n")
     assert call(monkeypatch, tmp_path / "out", path, "--resume") == 1
     assert "of a run with another recording" in capsys.readouterr().err
 

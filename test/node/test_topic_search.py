@@ -158,7 +158,7 @@ def test_what_cannot_be_decided_is_asked(
     ("package", "fix"),
     [
         ("dvs_msgs", "build dvs_msgs in your workspace, source"),
-        ("odd_msgs", "install ros-jazzy-odd-msgs or build odd_msgs in your workspace, source"),
+        ("odd_msgs", "install ros-jazzy-odd-msgs, if there is one, or build odd_msgs in your"),
     ],
 )
 def test_type_that_is_not_installed_is_named(
@@ -167,6 +167,32 @@ def test_type_that_is_not_installed_is_named(
     monkeypatch.setitem(sys.modules, f"{package}.msg", None)
     with pytest.raises(InputError, match=f"the message package {package} is not .*; {fix}"):
         import_message_type(f"{package}/msg/Odd")
+
+
+@pytest.mark.parametrize(
+    ("ros_type", "line"),
+    [
+        (
+            "rosgraph_msgs/msg/Log",
+            "the message package rosgraph_msgs is installed, but has no message Log; ROS 2 has "
+            "rcl_interfaces/msg/Log instead",
+        ),
+        (
+            "tf/msg/tfMessage",
+            "the message package tf is not installed; it is of ROS 1 only; ROS 2 has "
+            "tf2_msgs/msg/TFMessage instead",
+        ),
+        (
+            "sensor_msgs/msg/Odd",
+            "the message package sensor_msgs is installed, but has no message Odd; install the "
+            "sensor_msgs that has it",
+        ),
+    ],
+)
+def test_types_that_ros2_has_under_another_name(ros_type: str, line: str) -> None:
+    with pytest.raises(InputError) as error:
+        import_message_type(ros_type)
+    assert str(error.value) == f"{ros_type}: {line}"
 
 
 def test_installed_type_is_imported() -> None:

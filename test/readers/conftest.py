@@ -2,9 +2,9 @@
 
 import pytest
 
-from emoflow_ros.readers.bag_files import say_once
+from emoflow_ros.errors import say
 
 
 @pytest.fixture(autouse=True)
 def _every_test_hears_every_line():
-    say_once.cache_clear()
+    say.cache_clear()

@@ -204,6 +204,6 @@ def test_labels_say_how_many_however_they_are_divided(
     assert label_command.main() == 1  # too few events for an estimate
     said = capsys.readouterr()
     assert "0 of 29 windows estimated, 3 events out of order left out" in said.out
-    assert said.err.endswith("no window could be estimated\n")
+    assert f"{path}: none of its 29 windows could be estimated; " in said.err
     with h5py.File(tmp_path / "a.h5") as file:
         assert file.attrs["events_unordered"] == 3  # the last one is behind the last window
