@@ -4,12 +4,10 @@ In an archive `t_s`, `t_us` and `t_ns` name their unit, and `width` and `height`
 sensor's size. One array is a table (N, 4), or has the fields x, y, t and p.
 """
 
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
-from zipfile import BadZipFile, is_zipfile
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +23,7 @@ from emoflow_ros.readers.column_layout import (
     tell_layout,
 )
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
+from emoflow_ros.readers.numpy_damage import damage_as_value_error
 from emoflow_ros.readers.reader_base import FileRecording
 from emoflow_ros.readers.time_units import Clues, tell_unit, unit_name
 
@@ -32,11 +31,6 @@ _ARCHIVE, _ARRAY = ".npz", ".npy"
 _UNITS = {"t_s": "s", "t_us": "us", "t_ns": "ns"}
 _SIZES = ("width", "height")
 _TABLES = ("events", "arr_0")  # of an archive: a name, and what np.savez calls one without
-# SyntaxError, TokenError, TypeError: from NumPy's parser of an array's header.
-_DAMAGED = (
-    OSError, EOFError, ValueError, NotImplementedError, BadZipFile, zlib.error,
-    SyntaxError, TokenError, TypeError,
-)  # fmt: skip
 _LAYOUT = "save x, y, t (or t_s, t_us, t_ns) and p of equal length"
 _TABLE = "save an array (N, 4), or one with the fields x, y, t and p"
 _SAMPLE = 1000
@@ -121,10 +115,10 @@ def _load(path: Path) -> Arrays:
     name = ""
     try:
         if not is_archive:
-            with path.open("rb") as file:  # np.load would take anything else for a pickle
+            # np.load would take anything else for a pickle
+            with damage_as_value_error(), path.open("rb") as file:
                 return {_TABLES[0]: np.lib.format.read_array(file, allow_pickle=False)}
-        loaded = np.load(path, allow_pickle=False)
-        with loaded as archive:
+        with damage_as_value_error(), np.load(path, allow_pickle=False) as archive:
             for name, letter in _members(archive.files):
                 value = archive[name]
                 if isinstance(value, np.ndarray):  # other members come as bytes
@@ -132,7 +126,7 @@ def _load(path: Path) -> Arrays:
             if not arrays:
                 there = ", ".join(archive.files) or "nothing"
                 raise InputError(path, f"no arrays x, y, t and p; it holds {there}", _LAYOUT)
-    except _DAMAGED as error:
+    except (OSError, KeyError, ValueError) as error:
         if "Object arrays" in str(error):
             raise InputError(path, f"{name or 'it'} holds Python objects", "save numbers") from None
         kind = "archive" if is_archive else "array"

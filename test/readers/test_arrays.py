@@ -1,23 +1,20 @@
 """NumPy files and HDF5 tables of events, as tools write them, and their unit of time."""
 
+from zipfile import ZipFile
+
 import h5py
 import numpy as np
 import pytest
 from column_files import ARRAY_WRITERS, steady_events, write_hdf5, write_npy
 from event_bags import assert_equal
 
-from emoflow_ros import errors
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.column_layout import ColumnOptions
+from emoflow_ros.truth.mvsec_truth import MvsecFlowMaps, SmoothedOdometry
 
 N = 3000
-
-
-@pytest.fixture(autouse=True)
-def _said_anew(monkeypatch):
-    monkeypatch.setattr(errors, "_said", set())
 
 
 @pytest.fixture
@@ -164,6 +161,35 @@ def test_damaged_npy(tmp_path, events):
     assert refusal(path) == f"{path}: damaged NumPy array; copy it again"
     path.write_bytes(b"123")
     assert refusal(path) == f"{path}: damaged NumPy array; copy it again"
+
+
+HEADER = "{'descr': '<f8', 'fortran_order': False, 'shape': (9, 4), }"
+HEADERS = [
+    HEADER + "\n \x93 \0",  # SystemError
+    HEADER.replace("9", 30 * "9"),  # OverflowError
+    HEADER.replace("9", 15 * "9"),  # MemoryError
+    HEADER.replace("}", ""),  # TokenError
+    HEADER.replace("'<f8'", "',f8'"),  # SyntaxError
+    HEADER.replace("'shape'", "{}"),  # TypeError
+]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("header", HEADERS)
+def test_damaged_headers_of_arrays_are_one_line(tmp_path, header):
+    text = header.ljust(117).encode("latin-1") + b"\n"
+    array = b"\x93NUMPY\1\0" + len(text).to_bytes(2, "little") + text + bytes(9 * 4 * 8)
+    npy = tmp_path / "a.npy"
+    npy.write_bytes(array)
+    assert refusal(npy) == f"{npy}: damaged NumPy array; copy it again"
+    npz = tmp_path / "a.npz"
+    with ZipFile(npz, "w") as archive:
+        archive.writestr("timestamps.npy", array)
+    part = "(timestamps cannot be read)"
+    assert refusal(npz) == f"{npz}: damaged NumPy archive {part}; copy it again"
+    for truth in (MvsecFlowMaps, SmoothedOdometry):
+        with pytest.raises(InputError, match=rf"^{npz}: not an? (flow|odom)"):
+            truth(npz)
 
 
 @pytest.mark.parametrize(

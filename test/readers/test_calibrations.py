@@ -3,7 +3,6 @@
 import pytest
 from event_bags import INFO, make_events, write_event_bag
 
-from emoflow_ros import errors
 from emoflow_ros.commands.info import inspect
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
@@ -11,11 +10,6 @@ from emoflow_ros.readers import open_recording
 K = INFO[2]
 D = (0.1, 0.02, 0.003, 0.004, 0.0)
 UNCALIBRATED = ("", (), (0.0,) * 9)
-
-
-@pytest.fixture(autouse=True)
-def _said_anew(monkeypatch):
-    monkeypatch.setattr(errors, "_said", set())
 
 
 @pytest.fixture(params=["ros1", "sqlite3", "mcap"])

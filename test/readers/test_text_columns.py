@@ -9,7 +9,6 @@ import pytest
 from column_files import steady_events, write_text
 from event_bags import assert_equal
 
-from emoflow_ros import errors
 from emoflow_ros.cli import EXIT_BAD_INPUT
 from emoflow_ros.cli import evaluate as evaluate_command
 from emoflow_ros.cli import info as info_command
@@ -19,11 +18,6 @@ from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.column_layout import ColumnOptions
 
 N = 3000
-
-
-@pytest.fixture(autouse=True)
-def _said_anew(monkeypatch):
-    monkeypatch.setattr(errors, "_said", set())
 
 
 @pytest.fixture

@@ -114,8 +114,7 @@ def test_few_events_have_the_customary_unit():
         assert tell_unit(Clues(Path("a"), np.array(same), len(same))) == (US if 7 in same else S)
 
 
-def test_what_is_told_is_said_unless_it_is_customary(capsys, monkeypatch):
-    monkeypatch.setattr("emoflow_ros.errors._said", set())
+def test_what_is_told_is_said_unless_it_is_customary(capsys):
     for unit, dtype in ((S, float), (US, np.int64)):
         tell_unit(Clues(Path("a"), column(3e5, unit, 1000, dtype), 200_000))
     assert capsys.readouterr().err == ""

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from rosbags import rosbag1
 
-from emoflow_ros import errors
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
@@ -17,11 +16,6 @@ from emoflow_ros.truth.text_truth import load_poses, read_poses
 
 CAMERA = Camera(8, 6, 6.0, 6.0, 4.0, 3.0)
 N = 200  # poses at 200 Hz, 2 m/s to the right
-
-
-@pytest.fixture(autouse=True)
-def _said_anew(monkeypatch):
-    monkeypatch.setattr(errors, "_said", set())
 
 
 def rows(digits: int = 9, twice: tuple[int, ...] = ()) -> list[str]:
