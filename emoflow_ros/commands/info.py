@@ -33,11 +33,15 @@ from emoflow_ros.readers.column_arguments import add_column_options, column_opti
 from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
 from emoflow_ros.readers.stream_check import MAX_UNORDERED_SHARE
+from msg_adapters import supported_types
 
 _EPILOG = """\
 examples:
   info recording.bag
   info events.raw --json
+
+exit codes: 0 done, also for a bag of other topics; 2 bad input, or not one event in the messages of
+events; 130 interrupted, 141 nobody reads the output.
 """
 _NO_CALIBRATION = (
     "no calibration: give --calib FILE to evaluate, camera.calibration_file to the estimator"
@@ -108,6 +112,23 @@ def _main(args: argparse.Namespace) -> None:
         print(json.dumps(asdict(info), indent=2))
     else:
         print("\n".join(_lines(info)))
+    _refuse_lost_events(info)
+
+
+def _refuse_lost_events(info: Info) -> None:
+    """Refuse a recording that holds messages of events of which not one event came.
+
+    Raises:
+        InputError: it is one. What it holds has been said by then.
+    """
+    if any(topic.events for topic in info.topics):
+        return
+    held = {topic.name: topic.packets for topic in info.topics if topic.packets}
+    known = set(supported_types()) - {_AMBIGUOUS}
+    held |= {t["name"]: t["messages"] for t in info.other_topics if t["type"] in known}
+    if count := sum(held.values()):
+        wrong = f"{count} messages of events on {', '.join(sorted(held))}, and no event in them"
+        raise InputError(info.input, wrong, "record it again, or convert it")
 
 
 def _inspect_bag(path: Path) -> Info:

@@ -174,6 +174,37 @@ def run_main(monkeypatch, capsys, *arguments: object) -> tuple[int, str, str]:
     return code, *capsys.readouterr()
 
 
+@pytest.mark.parametrize("damage", ["empty", "cut"])
+def test_messages_of_events_without_any_event_are_an_error(
+    monkeypatch, capsys, tmp_path, make_events, write_event_bag, damage
+):
+    """What else it holds is said nevertheless, as text and as JSON."""
+    events = Events.empty() if damage == "empty" else make_events(10)
+    path = write_event_bag(tmp_path / "a.bag", [events], with_info=True)
+    if damage == "cut":
+        count = struct.pack("<I", 10)
+        data = path.read_bytes()
+        at = data.index(count, data.index(struct.pack("<II", 24, 32))) + len(count) - 1
+        path.write_bytes(data[:at] + b"\x7f" + data[at + 1 :])
+    line = f"error: {path}: 1 messages of events on /cam/events, and no event in them; "
+    code, out, err = run_main(monkeypatch, capsys, path)
+    assert (code, err.startswith(line)) == (2, True), err
+    assert "/cam/camera_info" in out
+    code, out, _ = run_main(monkeypatch, capsys, path, "--json")
+    assert (code, json.loads(out)["topics"][0]["events"]) == (2, 0)
+
+
+def test_a_bag_of_other_topics_is_described(monkeypatch, capsys, tmp_path, write_event_bag):
+    path = write_event_bag(tmp_path / "a.bag", [], topics=())
+    code, out, err = run_main(monkeypatch, capsys, path)
+    assert (code, err) == (0, "")
+    assert "missing: no topic of a known event type" in out
+    path = write_event_bag(tmp_path / "b.bag", [])  # a topic on which nothing was recorded
+    code, out, err = run_main(monkeypatch, capsys, path)
+    assert (code, err) == (0, "")
+    assert "missing: /cam/events: no events" in out
+
+
 def test_json(monkeypatch, capsys, tmp_path, make_events, write_event_bag):
     path = write_event_bag(tmp_path / "a.bag", [make_events(10)])
     code, out, _ = run_main(monkeypatch, capsys, path, "--json")

@@ -9,7 +9,7 @@ from event_bags import assert_equal, event_array_bytes, make_events
 from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from emoflow_ros.commands.info import inspect
+from emoflow_ros.commands.info import inspect, main
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
@@ -117,7 +117,9 @@ def test_older_definitions_become_messages_of_today_where_they_are_published(tmp
         (HEADER + "uint8[4] z\n" + ARRAY, "uint16 x\n", "members of unknown kinds"),
     ],
 )
-def test_definitions_that_are_not_understood_are_refused_by_name(tmp_path, array, event, why):
+def test_definitions_that_are_not_understood_are_refused_by_name(
+    tmp_path, monkeypatch, array, event, why
+):
     path = write(tmp_path / "a.bag", NAME, array, event, HEAD)
     with open_recording(path) as recording, pytest.raises(InputError) as caught:
         list(recording.event_chunks())
@@ -126,6 +128,8 @@ def test_definitions_that_are_not_understood_are_refused_by_name(tmp_path, array
     info = inspect(path)
     assert info.topics == []
     assert any(why in missing for missing in info.missing)
+    monkeypatch.setattr("sys.argv", ["info", str(path)])
+    assert main() == 2
 
 
 def test_cut_messages_of_an_older_definition_are_damage(tmp_path):
