@@ -71,7 +71,8 @@ def read_head(path: Path) -> TextHead:
         for at, line in _rows(file):
             words = decoded(path, plain(line)).split()
             if not rows and not names and size == (0, 0):
-                names = layout_of_names(words)
+                unnamed = line.lstrip().startswith((b",", b";"))  # the index that pandas writes
+                names = layout_of_names(["-"] * unnamed + words)
                 size = _size(words)
                 if names or any(size):
                     continue

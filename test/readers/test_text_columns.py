@@ -87,6 +87,13 @@ def test_a_line_of_names_orders_the_columns(tmp_path, events):
     assert_equal(read_all(path), events)
 
 
+def test_the_index_that_pandas_writes_is_skipped(tmp_path, events):
+    path = write_text(tmp_path / "a.csv", events, "txyp", "us", first="")
+    rows = path.read_text().replace(" ", ",").splitlines()
+    path.write_text(",t,x,y,p\n" + "".join(f"{k},{row}\n" for k, row in enumerate(rows)))
+    assert_equal(read_all(path), events)
+
+
 def test_what_the_user_says_counts(tmp_path, events):
     path = write_text(tmp_path / "events.txt", events, "xytp", "us")
     swapped = read_all(path, layout="yxtp", time_unit="ns")
