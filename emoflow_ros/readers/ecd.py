@@ -4,7 +4,6 @@ The data set: Mueggler et al., IJRR 2017. Its `events.txt` has lines `t x y p`, 
 Simulators write other orders and units, which the first 1000 lines tell.
 """
 
-from bisect import bisect_left
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
@@ -18,6 +17,7 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import USUAL_LAYOUT, ColumnOptions, in_order, tell_layout
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
 from emoflow_ros.readers.reader_base import FileRecording, Imu, read_camera, refuse_imu_topic
+from emoflow_ros.readers.search_in_time import first_since
 from emoflow_ros.readers.text_head import ROW, TextHead, decoded, is_row, plain, read_head
 from emoflow_ros.readers.text_tables import IMU_FILE, read_imu_text
 from emoflow_ros.readers.time_units import Clues, S, tell_unit, unit_name
@@ -119,14 +119,13 @@ class EcdRecording(FileRecording):
                 file.readline()
                 return file.tell()
 
-            def is_late(byte: int) -> bool:
+            def time_after(byte: int) -> int:
                 file.seek(line_after(byte))
                 row = _next_row(file)
-                return not row or int(self._parse(row).t[0]) >= since
+                return int(self._parse(row).t[0]) if row else since
 
-            bytes_there = range(begin, self.named.stat().st_size)
-            at = bisect_left(bytes_there, True, key=is_late)
-            return line_after(begin + at - 1) if at else begin
+            at = first_since(begin, self.named.stat().st_size, time_after, since)
+            return line_after(at - 1) if at > begin else begin
 
     def _measure(self, head: TextHead) -> float:
         """Length in seconds from the first and the last row."""

@@ -1,6 +1,5 @@
 """What the readers of HDF5 data sets share: a file is opened, and its damage is refused."""
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, NoReturn
 import h5py
 
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.search_in_time import first_since
 
 try:  # optional: it registers the compressions that data sets use
     import hdf5plugin  # noqa: F401
@@ -68,11 +68,11 @@ def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:
     """Find the last row before a time, by bisection; row 0 where there is none.
 
     Args:
-        rows: how many there are, in order of time.
+        rows: how many there are, in order of time but for single ones.
         time: the time of a row, ns.
         since: the time, ns; None for row 0.
     """
-    return 0 if since is None else max(0, bisect_left(range(rows), since, key=time) - 1)
+    return 0 if since is None else max(0, first_since(0, rows, time, since) - 1)
 
 
 def refuse(path: Path, error: Exception) -> NoReturn:

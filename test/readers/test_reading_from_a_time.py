@@ -64,6 +64,27 @@ def test_files(tmp_path, events, write, name, first):
                 np.testing.assert_array_equal(getattr(found, column), expected)
 
 
+@pytest.mark.parametrize(
+    ("write", "name"), [(write_mvsec, "a.hdf5"), (write_dsec, "events.h5"), (write_ecd, "ecd")]
+)
+@pytest.mark.parametrize("middle", [1, 2, 3])
+@pytest.mark.parametrize("shift_s", [-9, 9])
+def test_events_out_of_order_do_not_lead_past_what_is_sought(
+    tmp_path, events, write, name, middle, shift_s
+):
+    """The first looks of the bisection, at a quarter, half and three quarters, meet such events."""
+    wrong = slice(COUNT * middle // 4 - 40, COUNT * middle // 4 + 40)  # 80 ms
+    events.t[wrong] += shift_s * 1_000_000_000
+    path = write(tmp_path / name, events)
+    with open_recording(path) as recording:
+        whole = Events.concatenate(list(recording.event_chunks()))
+        assert COUNT - 80 <= len(whole) < COUNT
+        for first in range(500, COUNT, 1000):
+            since = START_NS + first * STEP_NS
+            found = Events.concatenate(list(recording.event_chunks(since)))
+            np.testing.assert_array_equal(found.t, whole.t[np.searchsorted(whole.t, since) :])
+
+
 def test_rows_before_are_not_read(tmp_path, events, monkeypatch):
     monkeypatch.setattr(mvsec, "CHUNK", 100)
     with open_recording(write_mvsec(tmp_path / "a.hdf5", events)) as recording:
