@@ -39,7 +39,8 @@ def write_npz(path, events):
 def write_ecd(path, events):
     path.mkdir()
     columns = zip((events.t / 1e9).tolist(), events.x, events.y, events.p, strict=True)
-    (path / "events.txt").write_text("".join(f"{t:.6f} {x} {y} {p:d}\n" for t, x, y, p in columns))
+    rows = (f"{t:09.6f} {x:02d} {y:02d} {p:d}\n" for t, x, y, p in columns)  # of one length
+    (path / "events.txt").write_text("".join(rows))
     return path
 
 
