@@ -20,7 +20,7 @@ from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.event_columns import times_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
 from emoflow_ros.readers.reader_base import FileRecording
-from emoflow_ros.readers.time_units import US, Clues, tell_unit
+from emoflow_ros.readers.time_units import US, Clues, sampled, tell_unit
 
 _RECTIFY_MAP = "rectify_map.h5"
 # As the archives of the whole data set unpack, and as those of one sequence are named.
@@ -36,7 +36,6 @@ _NAME = re.compile(r"(interlaken|thun|zurich_city)_\d\d_[a-z]")
 
 _COLUMNS = ("x", "y", "t", "p")
 _SIZE = (640, 480)
-_SAMPLE = 1000
 _MAP = "rectify_map"
 
 
@@ -157,10 +156,10 @@ class DsecRecording(FileRecording):
             self._offset = int(file["t_offset"][()]) if "t_offset" in file else 0
             if self._count:
                 t = self._columns[_COLUMNS.index("t")]
-                ends = np.concatenate([t[:_SAMPLE], t[-1:]])
+                sample = sampled(t.__getitem__, self._count)
                 declared = self.options.time_unit
-                self._unit = tell_unit(Clues(events, ends, self._count, declared, of_format=US))
-                self.duration = float(ends[-1] - ends[0]) * self._unit / NS_PER_S
+                self._unit = tell_unit(Clues(events, sample, self._count, declared, of_format=US))
+                self.duration = (float(sample[-1]) - float(sample[0])) * self._unit / NS_PER_S
 
     @staticmethod
     def matches(path: Path) -> bool:

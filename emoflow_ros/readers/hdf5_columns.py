@@ -21,12 +21,11 @@ from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, is_hdf5, open_hdf5, row_before
 from emoflow_ros.readers.hdf5_tables import Column, columns_of, tables_of
 from emoflow_ros.readers.reader_base import FileRecording
-from emoflow_ros.readers.time_units import Clues, tell_unit, unit_name
+from emoflow_ros.readers.time_units import Clues, sampled, tell_unit, unit_name
 
 _INDICES = ("ms_to_idx", "ms_map_idx")
 _OFFSET = "t_offset"
 _ATTRIBUTES = ("unit", "units")
-_SAMPLE = 1000
 _LENSES = ("radtan", "equidistant", "none")  # that M3ED's calibration names
 
 
@@ -114,12 +113,11 @@ class ColumnsRecording(FileRecording):
 
     def _clues(self, file: h5py.File, group: h5py.Group, t: Column, layout: str) -> Clues:
         index = _beside(file, group, _INDICES)
-        ends = [t[:]] if len(t) <= 2 * _SAMPLE else [t[:_SAMPLE], t[-_SAMPLE:]]
         words = [t.attributes[name] for name in _ATTRIBUTES if name in t.attributes]
         said = layout not in ("", USUAL_LAYOUT, self.options.layout)
         return Clues(
             self.path,
-            np.concatenate(ends),
+            sampled(t.__getitem__, len(t)),
             len(t),
             self.options.time_unit or next(map(_word, words), ""),
             0 if index is None else len(index),

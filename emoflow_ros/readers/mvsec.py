@@ -15,13 +15,12 @@ from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
 from emoflow_ros.readers.reader_base import FileRecording
-from emoflow_ros.readers.time_units import Clues, S, tell_unit
+from emoflow_ros.readers.time_units import Clues, S, sampled, tell_unit
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")
 _SIZE = (346, 260)
 _X, _Y, _T, _P = range(4)
-_SAMPLE = 1000
 
 
 class MvsecRecording(FileRecording):
@@ -59,8 +58,8 @@ class MvsecRecording(FileRecording):
         count = len(self._table)
         if count == 0:
             return None
-        ends = np.concatenate([self._table[:_SAMPLE, _T], self._table[-1:, _T]])
-        clues = Clues(self.path, ends, count, self.options.time_unit, of_format=S)
+        t = sampled(lambda rows: np.asarray(self._table[rows, _T]), count)
+        clues = Clues(self.path, t, count, self.options.time_unit, of_format=S)
         self._unit = tell_unit(clues)
         first, last = (int(self._ns(self._table[row, _T])) for row in (0, -1))
         return (last - first) / NS_PER_S

@@ -25,7 +25,7 @@ from emoflow_ros.readers.column_layout import (
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
 from emoflow_ros.readers.numpy_damage import damage_as_value_error
 from emoflow_ros.readers.reader_base import FileRecording
-from emoflow_ros.readers.time_units import Clues, tell_unit, unit_name
+from emoflow_ros.readers.time_units import Clues, sampled, tell_unit, unit_name
 
 _ARCHIVE, _ARRAY = ".npz", ".npy"
 _UNITS = {"t_s": "s", "t_us": "us", "t_ns": "ns"}
@@ -92,7 +92,7 @@ class NumpyRecording(FileRecording):
         said = layout not in ("", USUAL_LAYOUT, self.options.layout)
         clues = Clues(
             self.path,
-            t if len(t) <= 2 * _SAMPLE else np.concatenate([t[:_SAMPLE], t[-_SAMPLE:]]),
+            sampled(t.__getitem__, len(t)),
             len(t),
             self.options.time_unit or declared,
             told=" ".join(layout) if said else "",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import layout_of_names
+from emoflow_ros.readers.time_units import END_VALUES
 
 ROW = "a line is 't x y p': time, pixel column, pixel row, 0 or 1"
 _ROWS = 1000
@@ -25,7 +26,7 @@ class TextHead:
 
     Attributes:
         begin: the byte that the first row begins at.
-        rows: (M, columns) the first 1000 rows, M > 0, and the last row behind them.
+        rows: (M, columns) the first 1000 rows, M > 0, and the last nine behind them.
         count: of all rows; estimated by the length of these where there are more.
         points: (columns,) whether the first one has a decimal point.
         names: the layout by a line of names; empty without one.
@@ -84,17 +85,14 @@ def read_head(path: Path) -> TextHead:
                 break
         if not rows:
             raise InputError(path, "holds no events", "give a recording that has some")
+        count = len(rows)
         length = file.seek(0, 2)
-        file.seek(max(begin, length - _TAIL_BYTES))
-        last = [line for line in file.read().splitlines() if is_row(line)]
-    if last:
-        rows.append(numbers(path, decoded(path, plain(last[-1])).split()))
+        last = _tail(file, end, length)
+    rows += [numbers(path, decoded(path, plain(line)).split()) for line in last]
     lengths = {len(row): None for row in rows}
     if len(lengths) > 1:
         found = " and ".join(f"lines of {length} numbers" for length in lengths)
         raise InputError(path, f"not a table of numbers ({found})", ROW)
-    first = rows[:-1] if last else rows
-    count = len(first)
     if count == _ROWS:
         count = round(count * (length - begin) / (end - begin))
     return TextHead(begin, np.array(rows), count, np.array(points), names, size)
@@ -122,6 +120,14 @@ def numbers(path: Path, words: list[str]) -> list[float]:
         return [float(word) for word in words]
     except ValueError as error:
         raise InputError(path, f"not a table of numbers ({error})", ROW) from None
+
+
+def _tail(file: BinaryIO, begin: int, end: int) -> list[bytes]:
+    """Return the last rows of a file's bytes, as many as tell the end of its time."""
+    start = max(begin, end - _TAIL_BYTES)
+    file.seek(start)
+    lines = file.read().splitlines()[start > begin :]  # the first one may be cut
+    return [line for line in lines if is_row(line)][-END_VALUES:]
 
 
 def _rows(file: BinaryIO) -> Iterator[tuple[int, bytes]]:

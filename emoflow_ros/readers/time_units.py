@@ -4,6 +4,7 @@ A recording has a plausible mean rate in one unit, or in two at most, since unit
 1000 apart. `tell_unit` says how one of them is chosen.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -30,6 +31,8 @@ _PLAUSIBLE = (1e3, 1e9)
 _USUAL = (1e4, 1e8)
 _MOST_OF_THOUSANDS = 3e7
 _SLACK = 0.9  # the number of a text's lines is an estimate
+_SAMPLE = 1000
+END_VALUES = 9  # of which four may be out of order
 _FEW = 1000  # events, too few to tell a rate
 _PLAUSIBLE_FEW = (1.0, 1e9)
 _HOUR_US = 3_600_000_000
@@ -44,7 +47,7 @@ class Clues:
 
     Attributes:
         path: the file, for errors.
-        sample: (M,) some of its values, M > 0; the first and the last one are the column's.
+        sample: (M,) its first and its last values, M > 0, as `sampled` reads them.
         count: how many values it has.
         declared: its unit in words, as the file or the user says it; empty where nobody does.
         milliseconds: the length of an index of milliseconds beside it; 0 without one.
@@ -64,9 +67,20 @@ class Clues:
     of_format: int | None = None
 
     @property
+    def ends(self) -> tuple[float, float]:
+        """First and last value; of many events medians, since single ones may be out of order."""
+        few = self._in_an_end
+        return float(np.median(self.sample[:few])), float(np.median(self.sample[-few:]))
+
+    @property
     def span(self) -> float:
-        """Last minus first value."""
-        return float(self.sample[-1]) - float(self.sample[0])
+        """Time between the two ends."""
+        first, last = self.ends
+        return last - first
+
+    @property
+    def _in_an_end(self) -> int:
+        return END_VALUES if self.count >= _FEW else 1
 
     @property
     def is_whole(self) -> bool:
@@ -86,7 +100,20 @@ class Clues:
 
     def rate(self, unit: int) -> float:
         """Events per second in a unit; infinite where all have the same time."""
-        return self.count * NS_PER_S / (self.span * unit) if self.span > 0 else np.inf
+        between = self.count - self._in_an_end + 1
+        return between * NS_PER_S / (self.span * unit) if self.span > 0 else np.inf
+
+
+def sampled(read: Callable[[slice], NDArray[Any]], count: int) -> NDArray[Any]:
+    """Read the first and the last 1000 of a column's values; all of them if they are few.
+
+    Args:
+        read: returns some of them.
+        count: how many there are.
+    """
+    if count <= 2 * _SAMPLE:
+        return read(slice(0, count))
+    return np.concatenate([read(slice(0, _SAMPLE)), read(slice(count - _SAMPLE, count))])
 
 
 def unit_of(word: str) -> int | None:
@@ -150,7 +177,7 @@ def _from_index(clues: Clues) -> int | None:
     if clues.milliseconds == 0:
         return None
     # The index counts from t = 0 or from the first event.
-    for length in (clues.span, float(clues.sample[-1])):
+    for length in (clues.span, clues.ends[1]):
         for unit in (NS, US, S):
             ratio = length * unit / (clues.milliseconds * MS)
             if 1 / _INDEX_TOLERANCE < ratio < _INDEX_TOLERANCE:
@@ -159,7 +186,7 @@ def _from_index(clues: Clues) -> int | None:
 
 
 def _from_epoch(clues: Clues) -> int | None:
-    last = float(clues.sample[-1])
+    _, last = clues.ends
     if last >= _EPOCH_NS:
         return NS
     return US if last >= _EPOCH_US else None

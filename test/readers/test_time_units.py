@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from column_files import ARRAY_WRITERS, steady_events, write_text
 
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.time_units import MS, NS, US, Clues, S, tell_unit
 
 RATE = 100_000  # events/s
@@ -43,6 +45,23 @@ TIMES = np.arange(3000) / RATE + 0.25  # s
 def test_unit_of_time(unit, t, more):
     count, index = more.get("count", len(t)), more.get("milliseconds", 0)
     assert tell_unit(Clues(Path("a"), t, count, more.get("declared", ""), index)) == unit
+
+
+@pytest.mark.parametrize("kind", [*ARRAY_WRITERS, "text"])
+@pytest.mark.parametrize(
+    ("at", "shift_s", "fits"), [(0, -1, True), (0, 1, False), (-1, -1, False), (-1, 1, True)]
+)
+def test_an_end_of_another_time_does_not_decide(tmp_path, kind, at, shift_s, fits):
+    """3000 events within 9 ms, in milliseconds: with that second they would be seconds."""
+    events = steady_events(3000)
+    events.t[at] += shift_s * 1_000_000_000
+    if kind == "text":
+        path = write_text(tmp_path / "a.txt", events, unit="ms")
+    else:
+        path = ARRAY_WRITERS[kind](tmp_path, events, events.t / 1e6)
+    with open_recording(path) as recording:
+        read = np.concatenate([chunk.t for chunk in recording.event_chunks()])
+    np.testing.assert_array_equal(read, events.t if fits else np.delete(events.t, at))
 
 
 def test_a_unit_that_nothing_decides():
