@@ -64,6 +64,18 @@ def damage_refused(path: Path) -> Iterator[None]:
         refuse(path, error)
 
 
+def items_of(file: h5py.File) -> list[tuple[str, Any]]:
+    """List the groups and data sets of a file by name, without those whose names are no text."""
+    found: list[tuple[str, Any]] = []
+
+    def visit(name: str | bytes, item: Any) -> None:
+        if isinstance(name, str):  # bytes that are no UTF-8 stay bytes
+            found.append((name, item))
+
+    file.visititems(visit)
+    return found
+
+
 def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:
     """Find the last row before a time, by bisection; row 0 where there is none.
 

@@ -18,7 +18,7 @@ from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import USUAL_LAYOUT, ColumnOptions
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
-from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, is_hdf5, open_hdf5, row_before
+from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, is_hdf5, items_of, open_hdf5, row_before
 from emoflow_ros.readers.hdf5_tables import Column, columns_of, tables_of
 from emoflow_ros.readers.reader_base import FileRecording
 from emoflow_ros.readers.time_units import Clues, sampled, tell_unit, unit_name
@@ -75,12 +75,7 @@ class ColumnsRecording(FileRecording):
         """
         with open_hdf5(path) as file, damage_refused(path):
             groups = ["/"] if columns_of(file) else []
-
-            def visit(name: str, item: Any) -> None:
-                if columns_of(item):
-                    groups.append(name)
-
-            file.visititems(visit)
+            groups += [name for name, item in items_of(file) if columns_of(item)]
             return groups or tables_of(file)
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.readers.column_layout import COLUMN_NAMES, in_order, tell_layout
+from emoflow_ros.readers.hdf5 import items_of
 
 _NAMES = tuple(COLUMN_NAMES.values())
 _TABLE_COLUMNS = 4
@@ -76,13 +77,7 @@ def columns_of(item: Any) -> tuple[Column, ...]:
 
 def tables_of(file: h5py.File) -> list[str]:
     """List the tables (N, 4) of numbers: those that are called `events`, or else all."""
-    tables = []
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "iuf":
-            tables.extend([name] if item.shape[1] == _TABLE_COLUMNS else [])
-
-    file.visititems(visit)
+    tables = [name for name, item in items_of(file) if _is_table(item)]
     return [name for name in tables if name.rpartition("/")[2] == _EVENTS] or tables
 
 
@@ -90,6 +85,11 @@ def _first(group: h5py.Group, names: tuple[str, ...]) -> Column | None:
     """Return the first column of these names: (N,), or (N, 1) as some tools write it."""
     items = (group.get(name) for name in names)
     return next((Column(i) for i in items if isinstance(i, h5py.Dataset) and _is_one(i)), None)
+
+
+def _is_table(item: Any) -> bool:
+    is_numbers = isinstance(item, h5py.Dataset) and item.ndim == 2 and item.dtype.kind in "iuf"
+    return is_numbers and bool(item.shape[1] == _TABLE_COLUMNS)
 
 
 def _is_one(item: h5py.Dataset) -> bool:

@@ -1,13 +1,12 @@
 """What is said of a path that is no recording: what was found there, and what to do."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
 import h5py
 
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.hdf5 import damage_refused, is_hdf5, open_hdf5
+from emoflow_ros.readers.hdf5 import damage_refused, is_hdf5, items_of, open_hdf5
 
 _MOST_NAMES = 6
 # Files that are known, but not read, by what they are called.
@@ -61,16 +60,9 @@ def _listed(folder: Path) -> str:
 
 
 def _data_sets(path: Path) -> str:
-    names: list[str] = []
-
-    def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            names.append(f"{name} {item.shape}")
-
     with open_hdf5(path) as file, damage_refused(path):
-        take: Callable[[str, object], None] = visit
-        file.visititems(take)
-    return _some(names) or "nothing"
+        items = [(name, item) for name, item in items_of(file) if isinstance(item, h5py.Dataset)]
+        return _some([f"{name} {item.shape}" for name, item in items]) or "nothing"
 
 
 def _some(names: list[str]) -> str:

@@ -150,3 +150,16 @@ def test_what_cannot_be_read(tmp_path, events):
         file["x"] = file["y"] = np.zeros(3)
     with pytest.raises(InputError, match=r"without columns of events; it holds x \(3,\), y \(3,\)"):
         read_all(tmp_path / "d.h5")
+
+
+def test_names_that_are_no_text_are_passed_over(tmp_path, events):
+    path = write(tmp_path / "a.h5", events, "events", events.t // 1000)
+    with h5py.File(path, "a") as file:
+        file.create_group(b"ev\xffnts")
+        for name in ("x", "y", "t", "p"):
+            file[b"ev\xffnts/" + name.encode()] = file[f"events/{name}"][:]
+    assert_equal(read_all(path), events)
+    damaged = tmp_path / "b.h5"
+    damaged.write_bytes(path.read_bytes().replace(b"events\0", b"\xffvents\0"))
+    with pytest.raises(InputError, match=r"b\.h5: "):
+        read_all(damaged)
