@@ -281,9 +281,8 @@ class Pipeline:
         return recent
 
     def _info_topic(self) -> str:
-        return (
-            topic_beside(self._node, self._topic, "camera_info") if self._topic else "camera_info"
-        )
+        name = "camera_info"
+        return topic_beside(self._node, self._topic, name) if self._topic else name
 
     def _miss_camera(self, reason: str) -> None:
         self._missing = reason
