@@ -60,7 +60,7 @@ def prior(walk: float = 0.5, velocity_walk: float = 1.0) -> Prior:
 
 def start() -> Unknowns:
     nothing = np.zeros((NODES, 3))
-    return along(T, nothing, nothing + [0.1, 0.0, 0.1], np.ones(PATCHES))
+    return along(T, nothing, nothing + np.array([0.1, 0.0, 0.1]), np.ones(PATCHES))
 
 
 def adjusted(observations: Observations, **options) -> Adjusted:
