@@ -75,6 +75,20 @@ class EventOrder:
         self.left_out += len(self.gaps)
         return events[keep]
 
+    def step_to(self, events: Events) -> int:
+        """Step of time from the last event to those that may come next, ns; 0 where one is missing.
+
+        It leads to their first one, or to the middle one in time where the first does not follow.
+        """
+        t = events.t
+        if self._last == _NEVER or len(t) == 0:
+            return 0
+        step = int(t[0]) - self._last
+        if 0 <= step < _STEP_NS:
+            return step
+        middle = (len(t) - 1) // 2
+        return int(np.partition(t, middle)[middle]) - self._last
+
     def settled(self, t: NDArray[np.int64]) -> int:
         """Find how many of the next times (N,) ns no later event can show to be too late.
 

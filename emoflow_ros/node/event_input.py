@@ -121,7 +121,9 @@ class EventInput:
         data, part = believed.data, believed.part
         before = None if believed.is_stamp_right else deepcopy(self._decoder)
         message = self._decode(data, part)
-        step = 0 if message is None else self._step(message)
+        step = 0
+        if message is not None and self._stamp is not None:
+            step = self._order.step_to(message.events)
         if before is not None and not 0 <= step < _NEAR_NS:
             self._decoder = before  # its time is counted on from messages before it
             self._leave_out("it is of another time than those around it")
@@ -193,12 +195,6 @@ class EventInput:
             self._statistics.add_malformed()
             self._warn(f"a malformed message is left out: {error}")
             return None
-
-    def _step(self, message: EventMessage) -> int:
-        """Event time from the last event to the first one of a message, ns; 0 if there is none."""
-        if self._stamp is None or self._order.last is None or not len(message.events):
-            return 0
-        return int(message.events.t[0]) - self._order.last
 
     def _start_epoch(self, step: int) -> None:
         """Start the next epoch after a step of time (ns): forget what was before it."""

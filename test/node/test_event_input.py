@@ -114,6 +114,33 @@ def test_single_event_out_of_order_within_a_message_is_left_out(
     assert bench.statistics.counts["events"] == 5
 
 
+@pytest.mark.parametrize("wrong_ms", [4, 20_000, 1_700_000_000_000])
+def test_first_event_of_a_message_out_of_order_is_left_out(bench: Bench, wrong_ms: float) -> None:
+    bench.push(1000, 1003)
+    assert bench.push(wrong_ms, 1004, 1005, stamp_ms=1004) == []
+    [task] = bench.push(1012)
+    assert (task.window.events.t // MS).tolist() == [1000, 1003, 1004, 1005]
+    assert bench.input.epoch == 0
+    assert bench.statistics.counts["events_unordered"] == 1
+
+
+@pytest.mark.parametrize("place", [0, 1, 3])
+@pytest.mark.parametrize("early_ms", [4, 1002.9])
+def test_event_out_of_order_behind_a_wrong_stamp_is_left_out_alone(
+    bench: Bench, place: int, early_ms: float
+) -> None:
+    bench.push(1000, 1003)
+    times: list[float] = [1004, 1005, 1006]
+    times.insert(place, early_ms)
+    bench.push(*times, stamp_ms=500_000)
+    [task] = bench.push(1012)
+    assert (task.window.events.t // MS).tolist() == [1000, 1003, 1004, 1005, 1006]
+    assert bench.input.epoch == 0
+    counts = bench.statistics.counts
+    assert (counts["wrong_stamps"], counts["events_unordered"]) == (1, 1)
+    assert counts["unordered_messages"] == 0
+
+
 def test_whole_message_that_is_far_too_early_starts_an_epoch(bench: Bench) -> None:
     """Only its events: the stamps go on."""
     bench.push(5000, 5004)
