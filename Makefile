@@ -51,7 +51,7 @@ accuracy-compare: setup  ## two of its results, A=before.json B=after.json
 	@$(ENV)
 	python -m benchmarks.scoreboard.compare "$(A)" "$(B)"
 
-fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris, and a thousand damaged files of each format; takes hours
+fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris, a thousand damaged files of each format, and as many that the field changes; takes hours
 	@$(ENV)
 	cache=$$(mktemp -d)
 	trap 'rm -rf "$$cache"' EXIT
@@ -59,6 +59,8 @@ fuzz: setup  ## decoders on a million inputs each, by hypothesis and by atheris,
 		--hypothesis-profile fuzz test/msg_adapters/test_properties.py
 	python test/msg_adapters/fuzz_decoders.py
 	python test/readers/fuzz_readers.py --runs 1000
+	python test/readers/fuzz_variants.py --runs 1000
+	python test/readers/fuzz_columns.py --runs 1000
 
 soak: messages  ## the tests that take minutes, and random faults for an hour; SOAK_S=180: for 180 s
 	@$(ENV)

@@ -1,8 +1,10 @@
-"""What goes wrong: the one exception for input that a user can mend, and tracebacks of the rest."""
+"""What goes wrong or is assumed: the one exception for bad input, notes, tracebacks of the rest."""
 
 import os
+import sys
 import time
 import traceback
+from functools import cache
 from pathlib import Path
 
 _TRACEBACKS = "emoflow_ros_tracebacks.log"
@@ -25,6 +27,12 @@ class InputError(Exception):
     def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
         """Let it cross from one process to another."""
         return type(self), (self.where, self.wrong, self.fix)
+
+
+@cache
+def say(where: object, what: str) -> None:
+    """Say on standard error, once per process, what was assumed of an input or left out of it."""
+    print(f"{where}: {what}", file=sys.stderr)
 
 
 def keep_traceback(error: BaseException) -> str:

@@ -10,7 +10,10 @@ ARGUMENTS = {
     "events": ("events", "topic of the event messages; default: the only event topic there is"),
     "camera_info": ("camera_info", "calibration topic; default: the one beside the events"),
     "imu": ("", "topic of an IMU whose gyro is to be used, as imu.use=auto; empty: none is"),
-    "calibration_file": ("", "camera_info YAML or ECD calib.txt instead of the topic"),
+    "calibration_file": (
+        "",
+        "file (camera_info YAML, Kalibr, OpenCV, ECD) instead of the topic",
+    ),
     "profile": ("realtime", "configuration: the name of a file in config/"),
     "params_file": (
         "",

@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 
 ROS=/opt/ros/jazzy
 ROOT=.test_messages
-PACKAGES=(dvs_msgs prophesee_event_msgs event_camera_msgs event_array_msgs)
+PACKAGES=(dvs_msgs prophesee_event_msgs dv_ros2_msgs event_camera_msgs event_array_msgs)
 
 fail() {
     echo "error: $1" >&2
@@ -54,7 +54,7 @@ CMAKE
 
 write_sources() {
     local package
-    for package in dvs_msgs prophesee_event_msgs; do
+    for package in dvs_msgs prophesee_event_msgs dv_ros2_msgs; do
         write_interface "$package" Event.msg \
             "uint16 x" "uint16 y" "builtin_interfaces/Time ts" "bool polarity"
         write_interface "$package" EventArray.msg \

@@ -105,6 +105,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: "integration" not in item.path.parts)
 
 
+@pytest.fixture(autouse=True)
+def _every_test_hears_every_line() -> None:
+    from emoflow_ros.errors import say
+
+    say.cache_clear()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _textures_are_painted_once() -> Iterator[None]:
     """Painting is the larger part of a short simulation, and most have one of a few seeds."""

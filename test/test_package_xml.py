@@ -69,6 +69,7 @@ PIP = "pip"
 KEY_OF = {
     "aedat": PIP,
     "ament_index_python": "ament_index_python",
+    "backports": PIP,
     "builtin_interfaces": "builtin_interfaces",
     "cv2": "python3-opencv",
     "diagnostic_msgs": "diagnostic_msgs",
@@ -102,6 +103,7 @@ KEY_OF = {
 }
 # Names in requirements*.in that differ from the import.
 REQUIREMENT_OF = {
+    "backports": "backports-zstd",
     "cv2": "opencv-python-headless",
     "skimage": "scikit-image",
     "yaml": "pyyaml",

@@ -3,13 +3,12 @@
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
@@ -17,80 +16,38 @@ from emoflow_ros.commands.info_contents import (
     Extras,
     ImuInfo,
     TruthInfo,
+    apart,
     file_extras,
     section_lines,
     table_lines,
     topic_imu,
     topic_truth,
 )
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.commands.info_topics import TopicInfo, inspect_topic, topic_lines
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording
+from emoflow_ros.readers import KNOWN_FORMATS, Recording, open_recording, unordered
 from emoflow_ros.readers.bag import BagRecording
-from emoflow_ros.readers.bag_files import open_bag, read_messages, serialization
+from emoflow_ros.readers.bag_events import TopicDecoder, event_connections
+from emoflow_ros.readers.bag_files import Bag, open_bag, read_messages
+from emoflow_ros.readers.column_arguments import add_column_options, column_options
+from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.hdf5_columns import ColumnsRecording
-from msg_adapters import DecodeError, Statistics, make_decoder, supported_types
+from emoflow_ros.readers.stream_check import MAX_UNORDERED_SHARE
+from msg_adapters import supported_types
 
 _EPILOG = """\
 examples:
   info recording.bag
   info events.raw --json
+
+exit codes: 0 done, also for a bag of other topics; 2 bad input, or not one event in the messages of
+events; 130 interrupted, 141 nobody reads the output.
 """
 _NO_CALIBRATION = (
     "no calibration: give --calib FILE to evaluate, camera.calibration_file to the estimator"
 )
 # Lidars publish these, too: a topic of them without a single event is no event topic.
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
-
-
-@dataclass
-class TopicInfo:
-    """One stream of events. Times are the sensor's, in seconds; None where there is no event."""
-
-    name: str
-    type: str
-    encoding: str = ""
-    width: int = 0
-    height: int = 0
-    events: int = 0
-    on: int = 0
-    off: int = 0
-    t_first: float | None = None
-    t_last: float | None = None
-    rate: float | None = None  # events/s
-    unsorted: int = 0  # events before the one that precedes them
-    packets: int = 0
-    malformed: int = 0  # packets
-    seq_gaps: int = 0  # packets
-    time_wraps: int = 0
-    triggers: int = 0
-    outside: int = 0  # events
-    skipped: int = 0  # words
-
-    def add(self, events: Events) -> None:
-        """Count the next events."""
-        if len(events) == 0:
-            return
-        t = events.t
-        first, last = int(t[0]) / NS_PER_S, int(t[-1]) / NS_PER_S
-        self.unsorted += int(np.count_nonzero(t[1:] < t[:-1]))
-        self.unsorted += self.t_last is not None and first < self.t_last
-        self.t_first = first if self.t_first is None else self.t_first
-        self.t_last = last
-        self.events += len(events)
-        self.on += int(np.count_nonzero(events.p))
-        self.off = self.events - self.on
-        if self.t_last > self.t_first:
-            self.rate = self.events / (self.t_last - self.t_first)
-
-    def take(self, statistics: Statistics) -> None:
-        """Take over what a decoder has counted."""
-        self.encoding = statistics.encoding
-        self.seq_gaps = statistics.seq_gaps
-        self.time_wraps = statistics.time_wraps
-        self.triggers = statistics.triggers
-        self.outside = statistics.dropped_outside
-        self.skipped = statistics.skipped
 
 
 @dataclass
@@ -110,28 +67,30 @@ def main() -> int:
     return run(lambda: _main(_parser().parse_args()))
 
 
-def inspect(path: Path) -> Info:
-    """Read a whole recording and count.
+def inspect(path: Path, columns: ColumnOptions | None = None) -> Info:
+    """Read a whole recording and count; `columns` as for `open_recording`.
 
     Raises:
         InputError: it cannot be read.
     """
-    info = _inspect_bag(path) if BagRecording.matches(path) else _inspect_file(path)
+    is_bag = BagRecording.matches(path) and not columns  # of bags the options are refused
+    info = _inspect_bag(path) if is_bag else _inspect_file(path, columns)
     if not info.topics:
-        info.missing.append("no event topic")
+        info.missing.append("no topic of a known event type")
     info.missing += [f"{t.name or 'file'}: no events" for t in info.topics if t.events == 0]
-    info.missing += [f"{t.name}: {problem}" for t in info.truth if (problem := _apart(info, t))]
-    return info
-
-
-def _apart(info: Info, truth: TruthInfo) -> str | None:
-    """Say whether a truth overlaps with no events in time; None where it does."""
-    if truth.t_first is None or truth.t_last is None:
-        return None
+    info.missing += [
+        f"{t.name}: event time goes back for good: give each part as a recording of its own"
+        for t in info.topics
+        if t.time_jumps
+    ]
+    info.missing += [
+        f"{t.name}: event times are not sorted"
+        for t in info.topics
+        if t.unordered > MAX_UNORDERED_SHARE * (t.events + t.unordered)
+    ]
     spans = [(t.t_first, t.t_last) for t in info.topics if t.t_first is not None]
-    if not spans or any(a < truth.t_last and truth.t_first < (b or a) for a, b in spans):
-        return None
-    return "does not overlap with the events in time: of another clock, or another recording"
+    info.missing += [f"{t.name}: {problem}" for t in info.truth if (problem := apart(t, spans))]
+    return info
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -142,29 +101,48 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("input", type=Path, help=KNOWN_FORMATS)
+    add_column_options(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 
 def _main(args: argparse.Namespace) -> None:
-    info = inspect(args.input)
+    info = inspect(args.input, column_options(args))
     if args.json:
         print(json.dumps(asdict(info), indent=2))
     else:
         print("\n".join(_lines(info)))
+    _refuse_lost_events(info)
+
+
+def _refuse_lost_events(info: Info) -> None:
+    """Refuse a recording that holds messages of events of which not one event came.
+
+    Raises:
+        InputError: it is one. What it holds has been said by then.
+    """
+    if any(topic.events for topic in info.topics):
+        return
+    held = {topic.name: topic.packets for topic in info.topics if topic.packets}
+    known = set(supported_types()) - {_AMBIGUOUS}
+    held |= {t["name"]: t["messages"] for t in info.other_topics if t["type"] in known}
+    if count := sum(held.values()):
+        wrong = f"{count} messages of events on {', '.join(sorted(held))}, and no event in them"
+        raise InputError(info.input, wrong, "record it again, or convert it")
 
 
 def _inspect_bag(path: Path) -> Info:
     info = Info(str(path))
     with open_bag(path) as bag:
+        events = event_connections(bag)
         for name in sorted({c.topic for c in bag.connections}):
             connections = [c for c in bag.connections if c.topic == name]
             ros_type = connections[0].msgtype
             count = sum(c.msgcount for c in connections)
-            if ros_type in supported_types():
-                messages = (data for _, _, data in read_messages(path, bag, connections))
+            if decoder := _decoder(info, events.get(name, [])):
+                messages = read_messages(path, bag, events[name])
                 bar = tqdm(messages, name, count, unit="packet", leave=False, disable=None)
-                topic = _inspect_topic(name, ros_type, serialization(bag), bar)
+                topic = inspect_topic(name, ros_type, decoder, bar)
                 if ros_type != _AMBIGUOUS or topic.malformed < count:
                     info.topics.append(topic)
                     continue
@@ -176,7 +154,16 @@ def _inspect_bag(path: Path) -> Info:
     return info
 
 
-def _is_extra(info: Info, path: Path, bag: AnyReader, name: str) -> bool:
+def _decoder(info: Info, connections: list[Connection]) -> TopicDecoder | None:
+    """Make the decoder of an event topic; what cannot be decoded is listed as missing."""
+    try:
+        return TopicDecoder(connections) if connections else None
+    except InputError as error:
+        info.missing.append(str(error))
+        return None
+
+
+def _is_extra(info: Info, path: Path, bag: Bag, name: str) -> bool:
     """Add a topic that is truth or an IMU; one that cannot be read is listed as missing."""
     try:
         found = topic_truth(path, bag, name) or topic_imu(path, bag, name)
@@ -190,29 +177,14 @@ def _is_extra(info: Info, path: Path, bag: AnyReader, name: str) -> bool:
     return found is not None
 
 
-def _inspect_topic(name: str, ros_type: str, kind: Any, messages: Iterable[bytes]) -> TopicInfo:
-    topic = TopicInfo(name, ros_type)
-    decoder = make_decoder(ros_type, kind)
-    for data in messages:
-        topic.packets += 1
-        try:
-            message = decoder.decode(data)
-        except DecodeError:
-            topic.malformed += 1
-            continue
-        topic.width, topic.height = message.width, message.height
-        topic.add(message.events)
-    topic.take(decoder.statistics)
-    return topic
-
-
 def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
     """Say why the bag's own calibration of a topic is of no use."""
     try:
         with BagRecording(path, topic=topic.name) as recording:
             camera = recording.camera
     except InputError as error:
-        return f"camera_info cannot be used ({error})"
+        reason = str(error).removeprefix(f"{path} ")
+        return f"camera_info cannot be used ({reason})"
     if camera is None:
         return _NO_CALIBRATION
     if topic.width and (camera.width, camera.height) != (topic.width, topic.height):
@@ -220,11 +192,11 @@ def _calibration_problem(path: Path, topic: TopicInfo) -> str | None:
     return None
 
 
-def _inspect_file(path: Path) -> Info:
+def _inspect_file(path: Path, columns: ColumnOptions | None) -> Info:
     info = Info(str(path))
     several = ColumnsRecording.matches(path)
     for name in ColumnsRecording.topics(path) if several else [None]:
-        with open_recording(path, topic=name) as recording:
+        with open_recording(path, topic=name, columns=columns) as recording:
             if not info.topics:
                 _take_extras(info, file_extras(recording))
             info.topics.append(_count_file(recording))
@@ -248,6 +220,7 @@ def _count_file(recording: Recording) -> TopicInfo:
     topic.width, topic.height = size
     for events in tqdm(recording.event_chunks(), unit="chunk", leave=False, disable=None):
         topic.add(events)
+    topic.unordered = unordered(recording)
     return topic
 
 
@@ -256,7 +229,7 @@ def _lines(info: Info) -> Iterator[str]:
     yield info.input
     for topic in info.topics:
         yield ""
-        yield from _topic_lines(topic)
+        yield from topic_lines(topic)
     yield from section_lines("truth", [truth.row() for truth in info.truth])
     yield from section_lines("imu", [imu.row() for imu in info.imu])
     if info.other_topics:
@@ -267,32 +240,6 @@ def _lines(info: Info) -> Iterator[str]:
         )
     yield ""
     yield f"missing: {'; '.join(info.missing) or 'nothing'}"
-
-
-def _topic_lines(topic: TopicInfo) -> Iterator[str]:
-    yield f"{topic.name or 'events'}: {topic.type}"
-    rows = [
-        ("encoding", topic.encoding or "-"),
-        ("resolution", f"{topic.width}x{topic.height}" if topic.width else "unknown"),
-        ("events", f"{topic.events} ({topic.on} ON, {topic.off} OFF)"),
-    ]
-    if topic.t_first is not None and topic.t_last is not None:
-        span = f"{topic.t_first:.6f} to {topic.t_last:.6f} s"
-        rows.append(("sensor time", f"{span} ({topic.t_last - topic.t_first:.6f} s)"))
-    if topic.rate is not None:
-        rows.append(("rate", f"{topic.rate:.0f} events/s"))
-    if topic.packets:
-        rows.append(("packets", f"{topic.packets} ({topic.seq_gaps} lost)"))
-    problems = {
-        "malformed packets": topic.malformed,
-        "events out of order": topic.unsorted,
-        "events outside": topic.outside,
-        "words skipped": topic.skipped,
-        "time wraps": topic.time_wraps,
-        "triggers": topic.triggers,
-    }
-    rows += [(name, str(count)) for name, count in problems.items() if count]
-    yield from table_lines(rows)
 
 
 if __name__ == "__main__":

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
 
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import Recording
-from emoflow_ros.readers.bag import IMU_TYPE, header_stamp, read_imu
-from emoflow_ros.readers.bag_files import read_messages
-from emoflow_ros.readers.ecd import IMU_FILE, read_imu_text
+from emoflow_ros.readers.bag_files import Bag, read_messages, serialization
+from emoflow_ros.readers.bag_imu import IMU_TYPE, header_stamp, read_imu
 from emoflow_ros.readers.reader_base import Imu
+from emoflow_ros.readers.text_tables import IMU_FILE, read_imu_text
 from emoflow_ros.truth import truth_beside
 from emoflow_ros.truth.bag_truth import DEPTH_NAMES, IMAGE, POSE_TYPES
 from emoflow_ros.truth.text_truth import is_tum, read_poses
@@ -84,7 +83,7 @@ class Extras:
     problems: list[str] = field(default_factory=list)
 
 
-def topic_truth(path: Path, bag: AnyReader, topic: str) -> TruthInfo | None:
+def topic_truth(path: Path, bag: Bag, topic: str) -> TruthInfo | None:
     """Describe a topic of poses or depth; None where it is of neither.
 
     Raises:
@@ -98,14 +97,15 @@ def topic_truth(path: Path, bag: AnyReader, topic: str) -> TruthInfo | None:
         return None
     try:
         stamps = [
-            header_stamp(data, ros2=bag.is2) for _, _, data in read_messages(path, bag, connections)
+            header_stamp(data, ros2=serialization(connection) == "cdr")
+            for connection, _, data in read_messages(path, bag, connections)
         ]
     except (IndexError, struct.error):
         raise InputError(path, f"damaged message on {topic}", "record it again") from None
     return _stamped(topic, f"poses ({kind})", np.sort(np.array(stamps, np.int64)))
 
 
-def topic_imu(path: Path, bag: AnyReader, topic: str) -> ImuInfo | None:
+def topic_imu(path: Path, bag: Bag, topic: str) -> ImuInfo | None:
     """Describe a topic of an IMU; None where it is none.
 
     Raises:
@@ -114,7 +114,7 @@ def topic_imu(path: Path, bag: AnyReader, topic: str) -> ImuInfo | None:
     connections = [c for c in bag.connections if c.topic == topic]
     if connections[0].msgtype != IMU_TYPE:
         return None
-    return describe_imu(read_imu(path, read_messages(path, bag, connections), ros2=bag.is2))
+    return describe_imu(read_imu(path, read_messages(path, bag, connections)))
 
 
 def file_extras(recording: Recording) -> Extras:
@@ -161,6 +161,21 @@ def section_lines(title: str, rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     yield title if rows else f"{title}: none"
     if rows:
         yield from table_lines(rows)
+
+
+def apart(truth: TruthInfo, spans: Sequence[tuple[float | None, float | None]]) -> str | None:
+    """Say whether a truth overlaps with no events in time; None where it does.
+
+    Args:
+        truth: one source.
+        spans: the first and last time of each stream of events, s.
+    """
+    if truth.t_first is None or truth.t_last is None:
+        return None
+    known = [(a, a if b is None else b) for a, b in spans if a is not None]
+    if not known or any(a < truth.t_last and truth.t_first < (b or a) for a, b in known):
+        return None
+    return "does not overlap with the events in time: of another clock, or another recording"
 
 
 def _describe_truth(path: Path) -> TruthInfo:

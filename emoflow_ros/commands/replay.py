@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
@@ -15,7 +16,6 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
@@ -25,7 +25,8 @@ from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.node.topic_search import import_message_type
-from emoflow_ros.readers.bag_files import Ros1Converter, open_bag, read_messages
+from emoflow_ros.readers.bag_files import Bag, open_bag, read_messages, serialization
+from emoflow_ros.readers.ros1_conversion import Ros1Converter
 from msg_adapters import supported_types
 
 _EPILOG = """\
@@ -106,7 +107,7 @@ class Player:
         self,
         node: Node,
         path: Path,
-        reader: AnyReader,
+        reader: Bag,
         *,
         topics: Sequence[str] | None,
         with_clock: bool,
@@ -117,7 +118,8 @@ class Player:
         self._reader = reader
         self._connections = _select(path, reader, topics)
         self._publishers = self._advertise(node)
-        self._converter = None if reader.is2 else Ros1Converter(self._connections)
+        ros1 = [c for c in self._connections if serialization(c) == "ros1"]
+        self._converter = Ros1Converter(ros1)
         self._clock = node.create_publisher(Clock, "/clock", 10) if with_clock else None
 
     def wait_for_subscribers(self, timeout_s: float) -> None:
@@ -136,7 +138,7 @@ class Player:
         """Publish the bag once; `rate` 2 is twice as fast as it was recorded.
 
         Raises:
-            InputError: damaged data.
+            InputError: damaged data, or no messages.
         """
         begin, end = self._reader.start_time, self._reader.end_time
         pace = Pace(rate)
@@ -152,6 +154,9 @@ class Player:
                 self._publishers[connection.topic].publish(cdr)
                 self.published += 1
                 bar.update((t - begin) / NS_PER_S - bar.n)
+        if self.published == 0:
+            topics = ", ".join(sorted(self._publishers))
+            raise InputError(self._path, f"no messages on {topics}", "record it again")
         self.lag_s = max(self.lag_s, pace.lag_s)
 
     def finish(self) -> bool:
@@ -163,7 +168,7 @@ class Player:
         )
 
     def _to_cdr(self, connection: Connection, data: bytes) -> bytes:
-        if self._converter is None:
+        if serialization(connection) == "cdr":
             return data
         return self._converter.to_cdr(data, connection.msgtype)
 
@@ -173,7 +178,7 @@ class Player:
         refused = []
         for connection in self._connections:
             try:
-                message_type = import_message_type(connection.msgtype)
+                message_type = _message_type(connection)
             except InputError as error:
                 refused.append(connection)
                 print(f"left out: {connection.topic}: {error}", file=sys.stderr)
@@ -190,7 +195,20 @@ class Player:
         return publishers
 
 
-def _select(path: Path, reader: AnyReader, topics: Sequence[str] | None) -> list[Connection]:
+def _message_type(connection: Connection) -> Any:
+    """Import the type of a connection's messages.
+
+    Raises:
+        InputError: it is not installed, or none of ROS.
+    """
+    if serialization(connection) is None:
+        form = getattr(connection.ext, "serialization_format", "")
+        wrong = f"its messages are {form or 'of no known form'}, not of ROS"
+        raise InputError(connection.msgtype, wrong, "convert them")
+    return import_message_type(connection.msgtype)
+
+
+def _select(path: Path, reader: Bag, topics: Sequence[str] | None) -> list[Connection]:
     """Return the bag's connections, or those of the topics asked for."""
     there = {c.topic for c in reader.connections}
     missing = sorted(set(topics or ()) - there)

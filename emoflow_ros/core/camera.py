@@ -1,24 +1,14 @@
 """Camera models: pixels to bearings on the undistorted normalised plane, and back."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.lens_models import DISTORTION_MODELS, choose_lens
 from emoflow_ros.errors import InputError
-
-# Distortion models by their ROS name (sensor_msgs/CameraInfo), with the numbers of
-# coefficients that each accepts.
-DISTORTION_MODELS = {
-    "none": (0,),
-    "plumb_bob": (0, 4, 5),
-    "rational_polynomial": (8,),
-    "equidistant": (4,),
-}
-
-_BROWN_CONRADY = ("plumb_bob", "rational_polynomial")
 
 # The largest event sensors have 1 to 2 million; maps of more would only fill the memory.
 MAX_PIXELS = 2**24
@@ -39,6 +29,7 @@ class Camera:
         fx, fy, cx, cy: intrinsics in pixels.
         model: a key of DISTORTION_MODELS.
         distortion: the model's coefficients.
+        note: what was assumed about the lens, in words, for the user; no part of the camera.
 
     Raises:
         InputError: a size or focal length that is not positive, more than MAX_PIXELS, an
@@ -53,6 +44,7 @@ class Camera:
     cy: float
     model: str = "none"
     distortion: tuple[float, ...] = ()
+    note: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
@@ -95,24 +87,29 @@ class Camera:
     ) -> "Camera":
         """Build a camera from CameraInfo's fields: K (9, row-major), model name and D.
 
-        An empty model name means no distortion, as many drivers publish it; plumb_bob with
-        eight coefficients is OpenCV's rational model under its old name.
+        What an empty name, another name or too many coefficients mean: see `choose_lens`.
+
+        Raises:
+            InputError: the camera is not calibrated, or see Camera and `choose_lens`.
         """
-        coefficients = tuple(float(c) for c in d)
-        if model == "plumb_bob" and len(coefficients) == 8:
-            model = "rational_polynomial"
-        zeros = len(coefficients) in DISTORTION_MODELS.get(model, ()) and not any(coefficients)
-        if model == "" or (model in _BROWN_CONRADY and zeros):
-            model, coefficients = "none", ()
-        if model == "fisheye":
-            model = "equidistant"
+        if not any(k):
+            raise InputError("camera", "K is zero: it is not calibrated", "calibrate the camera")
+        lens = choose_lens(model, d)
         fx, fy, cx, cy = (float(k[i]) for i in (0, 4, 2, 5))
-        return cls(int(width), int(height), fx, fy, cx, cy, model, coefficients)
+        return cls(
+            int(width), int(height), fx, fy, cx, cy, lens.model, lens.coefficients, lens.note
+        )
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
         return self.width, self.height
+
+    @property
+    def description(self) -> str:
+        """For example `346x260, plumb_bob`, and what was assumed."""
+        noted = f" ({self.note})" if self.note else ""
+        return f"{self.width}x{self.height}, {self.model}{noted}"
 
     @property
     def intrinsic_matrix(self) -> NDArray[np.float64]:

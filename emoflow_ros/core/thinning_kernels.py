@@ -33,6 +33,14 @@ def _candidate(k, step, phase):  # type: ignore[no-untyped-def]
     return first + ((k * 0x9E37 + phase & 0xFFFF) * (following - first) >> 16)
 
 
+@njit(types.int64(types.int64, types.int64, types.int64, types.int64))
+def _hash(x, y, count, span):  # type: ignore[no-untyped-def]
+    """32 bits that differ between pieces: by the first event's pixel, the number, the length."""
+    mixed = (((x << 16) ^ y) * 0x9E3779B1) & 0xFFFFFFFF
+    mixed = ((mixed ^ count) * 0x9E3779B1) & 0xFFFFFFFF
+    return ((mixed ^ span) * 0x9E3779B1) & 0xFFFFFFFF
+
+
 def _column(kind: types.Type) -> types.Array:
     return types.Array(kind, 1, "C", readonly=True)
 
@@ -132,8 +140,8 @@ def thin(x, y, t, p, weights, bounds, limits, one_each, chosen, shares):  # type
                 number += 1
             continue
         # The count begins at another event in each piece. Otherwise a block of few events would
-        # lose them all, in every piece.
-        phase = (t[begin] * 0x9E3779B1) & 0xFFFFFFFF
+        # lose them all, in every piece. No time of the clock enters: its origin changes nothing.
+        phase = _hash(x[begin], y[begin], end - begin, t[end - 1] - t[begin])
         first = number
         number = _choose(
             x[begin:end], y[begin:end], p[begin:end], weights[begin:end], one_each, count, phase,

@@ -46,6 +46,7 @@ from emoflow_ros.evaluation.run_progress import Checkpoint, Progress
 from emoflow_ros.evaluation.track_errors import TrackComparer
 from emoflow_ros.evaluation.window_run import Evaluation, proceed
 from emoflow_ros.readers import KNOWN_FORMATS, require_camera
+from emoflow_ros.readers.column_arguments import column_options
 from emoflow_ros.report.report_writer import Report, write_report
 from emoflow_ros.truth import load_truth
 from emoflow_ros.truth.dsec_flow import Submission
@@ -131,12 +132,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="DIR",
         help="write the flow images for DSEC's server into DIR/<sequence>",
     )
-    add(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for the results (default: out/<name of INPUT>)",
-    )
+    add("--out", type=Path, metavar="DIR", help="folder for results (default: out/<name of INPUT>)")
     add(
         "--resume",
         action="store_true",
@@ -175,7 +171,7 @@ def _run(options: argparse.Namespace) -> int:
         variants_of(options.ablate, config)  # refused before anything is estimated
     sequence = find_sequence(options.sequence) if options.sequence else None
     folder = options.out or Path("out") / options.input.resolve().stem
-    source = Source(options.input, options.topic, options.calib, sequence)
+    source = Source(options.input, options.topic, options.calib, sequence, column_options(options))
     with source.open() as recording:
         camera = require_camera(recording)
         truth = load_truth(recording, options.gt)
@@ -273,6 +269,7 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
         "input": str(options.input.resolve()),
         "topic": options.topic,
         "calibration": str(options.calib),
+        "columns": str(column_options(options)),
         "truth": plan.truth.description,
         "protocol": plan.description,
         "--imu": str(options.imu),
@@ -286,7 +283,7 @@ def _identity(options: argparse.Namespace, config: Config, plan: Plan) -> dict[s
 
 
 def _print_summary(run: Evaluation, report: Report) -> None:
-    print(f"{sum(w.ok for w in run.windows)} of {len(run.windows)} windows estimated")
+    print(run.outcome)
     if run.imu:
         print(f"IMU: {run.imu}; gyro {shares(w.gyro for w in run.windows)}")
     for m in report.measures:

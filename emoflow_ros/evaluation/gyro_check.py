@@ -33,6 +33,8 @@ _ROUNDS = 8
 _INLIER = 3.0  # robust standard deviations beyond which a window counts less
 _FEW = 8
 _SLOW = math.radians(3.0)  # rad/s, spread of the motion below which an axis cannot be found
+# Of the motion's variance, by medians: an unrelated gyro explains up to a half of a short one.
+_LEAST_EXPLAINED = 0.7
 _DEG_PER_RAD = math.degrees(1.0)
 
 
@@ -212,13 +214,27 @@ def check_lines(
         yield "  cannot tell: the camera turns about less than two axes; turn it about all three"
         return
     shifted = means.over(starts - found.offset_ns, ends - found.offset_ns)
-    yield from _describe(found, shifted, events)
+    mirrored = mirrored_axes(shifted, events, found.rotation)
+    if mirrored is not None:
+        yield _mirror_line(mirrored)
     gain = found.rotation / found.scale
     fitted = _left(events - (shifted - found.bias) @ gain.T)
+    moving = _left(events - np.median(events, axis=0))
+    explained = 1 - (fitted / moving) ** 2
+    if not explained >= _LEAST_EXPLAINED:
+        yield (
+            f"  nothing fits: the best rotation, scale, bias and time offset explain "
+            f"{max(0, explained):.0%} of the events' rotation, and have to explain "
+            f"{_LEAST_EXPLAINED:.0%}; {_degrees(fitted)} of {_degrees(moving)} deg/s (median) are "
+            "left; is it this camera's IMU, on the same clock?"
+        )
+        return
+    yield from _describe(found)
     offset = config.time_offset_ns
     present = _left(events - means.over(starts - offset, ends - offset) @ config.matrix().T)
     yield (
-        f"  left between the two: {_degrees(fitted)} deg/s (median) with these values, "
+        f"  left between the two: {_degrees(fitted)} deg/s (median) with these values, which "
+        f"explain {explained:.0%} of the rotation, "
         f"{_degrees(present)} deg/s with the present parameters"
     )
     angles = Rotation.from_matrix(found.rotation).as_euler("xyz", degrees=True)
@@ -229,16 +245,17 @@ def check_lines(
     )
 
 
-def _describe(found: Alignment, gyro: Array, events: Array) -> Iterator[str]:
-    mirrored = mirrored_axes(gyro, events, found.rotation)
+def _mirror_line(mirrored: Array) -> str:
+    return (
+        f"  axes: ({axis_names(mirrored)}) of the IMU fit best as the camera's (x, y, z); that is "
+        "a mirror, no rotation: one axis of the driver has the wrong sign, or two are swapped; no "
+        "parameters can mend it"
+    )
+
+
+def _describe(found: Alignment) -> Iterator[str]:
     axes = nearest_axes(found.rotation)
     apart = Rotation.from_matrix(found.rotation @ axes.T).magnitude()
-    if mirrored is not None:
-        yield (
-            f"  axes: ({axis_names(mirrored)}) of the IMU fit best as the camera's (x, y, z); that "
-            "is a mirror, no rotation: one axis of the driver has the wrong sign, or two are "
-            "swapped; the parameters below cannot mend it"
-        )
     yield (
         f"  rotation: the camera's (x, y, z) are ({axis_names(axes)}) of the IMU, and "
         f"{math.degrees(apart):.1f} deg from there"

@@ -1,12 +1,15 @@
-"""Where numbers come from: versions of the software and the machine they were made on."""
+"""Where numbers come from: the recording, versions of the software, and the machine."""
 
+import hashlib
 import os
 import platform
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import emoflow_ros
 
+_HEAD = 1 << 20  # bytes
 _LIBRARIES = ("numpy", "numba", "torch", "scipy", "h5py", "rosbags")
 
 
@@ -19,6 +22,22 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
+
+
+def fingerprint(path: Path) -> dict[str, Any]:
+    """Identify a recording without reading all of it.
+
+    Returns:
+        Its name, its size in bytes, and the SHA-256 of names, sizes and first MiB of its files.
+    """
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(path.parent)} {file.stat().st_size}\n".encode())
+        with file.open("rb") as stream:
+            digest.update(stream.read(_HEAD))
+    size = sum(file.stat().st_size for file in files)
+    return {"name": path.name, "bytes": size, "sha256_head": digest.hexdigest()}
 
 
 def machine() -> dict[str, str]:

@@ -22,8 +22,10 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import BenchmarkSequence
 from emoflow_ros.readers import Recording, open_recording
 from emoflow_ros.readers.bag import BagRecording
-from emoflow_ros.readers.ecd import read_imu_text
+from emoflow_ros.readers.column_arguments import add_column_options
+from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.reader_base import Imu
+from emoflow_ros.readers.text_tables import read_imu_text
 
 OFF = "off"
 _MOST = "window.max_displacement_px"
@@ -38,6 +40,7 @@ class Source:
         path: a recording of any known format.
         topic: the event topic, where it has several.
         calibration: a file that takes the place of the recording's own calibration.
+        columns: what the user says of columns of numbers.
         sequence: of a benchmark, if any; topic and calibration come before what it prescribes.
     """
 
@@ -45,6 +48,7 @@ class Source:
     topic: str | None = None
     calibration: Path | None = None
     sequence: BenchmarkSequence | None = None
+    columns: ColumnOptions | None = None
 
     def resolved(self) -> "Source":
         """Return the same with absolute paths, for other processes."""
@@ -60,21 +64,25 @@ class Source:
         topic = self.topic
         if self.sequence and topic is None and BagRecording.matches(self.path):
             topic = self.sequence.topic
-        recording = open_recording(self.path, topic=topic, calibration=self.calibration)
+        recording = open_recording(
+            self.path, topic=topic, calibration=self.calibration, columns=self.columns
+        )
         if self.sequence and self.sequence.camera and self.calibration is None:
             recording.camera = self.sequence.camera
         return recording
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add --calib, --topic and --sequence."""
+    """Add --calib, --topic, --layout, --time-unit and --sequence."""
     parser.add_argument(
         "--calib",
         type=Path,
         metavar="FILE",
-        help="calibration: camera_info YAML or ECD calib.txt (default: the recording's own)",
+        help="calibration: camera_info YAML, Kalibr camchain, OpenCV YAML or ECD calib.txt "
+        "(default: the recording's own)",
     )
     parser.add_argument("--topic", metavar="T", help="event topic, where the recording has several")
+    add_column_options(parser)
     parser.add_argument(
         "--sequence",
         metavar="NAME",

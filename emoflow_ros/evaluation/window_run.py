@@ -23,7 +23,7 @@ from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.run_progress import Checkpoint, Gallery, Progress
 from emoflow_ros.evaluation.slicers import EndingSlicer, Slicer, compared_part
 from emoflow_ros.evaluation.window_results import WindowResult, assess
-from emoflow_ros.readers import Recording, require_camera
+from emoflow_ros.readers import Recording, require_camera, unordered
 from emoflow_ros.truth import Truth
 from emoflow_ros.truth.dsec_flow import Submission
 
@@ -44,6 +44,7 @@ class Evaluation:
         protocol: which windows were compared, in words.
         windows: one result per window.
         events: of the recording in the windows, as they were cut; each counts once.
+        unordered: events that were left out, because they are not in order of time.
         gallery: windows for pictures.
         interrupted: whether Ctrl-C ended it early.
         wall_s: time that the run took, s: reading, estimating and comparing.
@@ -59,12 +60,24 @@ class Evaluation:
     protocol: str = ""
     windows: list[WindowResult] = field(default_factory=list)
     events: int = 0
+    unordered: int = 0
     gallery: Gallery = field(default_factory=Gallery)
     interrupted: bool = False
     wall_s: float = 0.0
     speed: float | None = None
     published: Published | None = None
     imu: str = ""
+
+    @property
+    def outcome(self) -> str:
+        """How much was estimated, in words."""
+        return outcome(sum(w.ok for w in self.windows), len(self.windows), self.unordered)
+
+
+def outcome(ok: int, windows: int, unordered: int) -> str:
+    """Say how many of so many windows were estimated, and how many events were left out."""
+    left_out = f", {unordered} events out of order left out" if unordered else ""
+    return f"{ok} of {windows} windows estimated{left_out}"
 
 
 def evaluate(
@@ -182,6 +195,7 @@ def proceed(
         writer.truncate(len(run.windows))  # Ctrl-C may have come in the middle of a row
     run.wall_s = progress.wall_s
     run.events = progress.covered.count
+    run.unordered = unordered(recording)
     if checkpoint is not None and not run.interrupted:
         checkpoint.remove()
     return run

@@ -7,7 +7,6 @@ an estimates file with dense flow; docs/labels.md is its description.
 """
 
 import dataclasses
-import hashlib
 import json
 import os
 import shutil
@@ -20,6 +19,7 @@ from typing import Any, Self
 from uuid import uuid4
 
 import h5py
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros.core.camera import Camera
@@ -35,8 +35,9 @@ from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.slicers import Interval, IntervalSlicer
 from emoflow_ros.evaluation.window_run import attempt
 from emoflow_ros.readers import Recording
+from emoflow_ros.readers.stream_check import StreamCheck
 
-_HEAD = 1 << 20  # bytes
+UNORDERED = "events_unordered"  # attribute: events of the recording that were left out
 _MORE = {
     "note": Column((), TEXT, "", "the exception, where the estimator raised one"),
     "chunk": Column((), "i8", "", "number of the chunk of time that the window was labelled in"),
@@ -137,24 +138,11 @@ class LabelWriter:
         self._writer.__exit__(kind, error, trace)
 
 
-def fingerprint(path: Path) -> dict[str, Any]:
-    """Identify a recording without reading all of it.
-
-    Returns:
-        Its name, its size in bytes, and the SHA-256 of names, sizes and first MiB of its files.
-    """
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(f"{file.relative_to(path.parent)} {file.stat().st_size}\n".encode())
-        with file.open("rb") as stream:
-            digest.update(stream.read(_HEAD))
-    size = sum(file.stat().st_size for file in files)
-    return {"name": path.name, "bytes": size, "sha256_head": digest.hexdigest()}
-
-
 def merge(parts: Sequence[Path], target: Path) -> None:
-    """Join the rows of label files in the order given; the target appears in one step."""
+    """Join the rows of label files in the order given; the target appears in one step.
+
+    The events that were left out add up.
+    """
     partial = target.with_name(f"{target.name}.partial")
     shutil.copyfile(parts[0], partial)
     with h5py.File(partial, "r+") as whole:
@@ -162,6 +150,7 @@ def merge(parts: Sequence[Path], target: Path) -> None:
             with h5py.File(part) as file:
                 for name, dataset in whole.items():
                     _append(dataset, file[name])
+                whole.attrs[UNORDERED] += file.attrs[UNORDERED]
     os.replace(partial, target)
 
 
@@ -231,7 +220,9 @@ def label_chunk(job: Job) -> str:
             job.source.open() as recording,
             LabelWriter(partial, job.header, job.chunk.index) as writer,
         ):
-            _estimate(job, recording, writer)
+            left_out = _estimate(job, recording, writer)
+        with h5py.File(partial, "r+") as file:
+            file.attrs[UNORDERED] = left_out
         os.replace(partial, job.target)
     except InputError as error:
         return str(error)
@@ -243,20 +234,49 @@ def label_chunk(job: Job) -> str:
     return ""
 
 
-def _estimate(job: Job, recording: Recording, writer: LabelWriter) -> None:
-    """Estimate all windows, in one thread: cores work on chunks of their own."""
+def _estimate(job: Job, recording: Recording, writer: LabelWriter) -> int:
+    """Estimate all windows, in one thread: cores work on chunks of their own.
+
+    Returns:
+        How many events of the chunk were left out, because they are not in order of time.
+    """
     estimator = make_estimator(job.header.camera, job.config)
+    policy, chunk = job.config.window, job.chunk
+    intervals = chunk.intervals(policy)
+    left_out = LeftOut(chunk.start, chunk.start + chunk.windows * policy.stride_ns)
     with threadpool_limits(1):
-        for window in chunk_windows(recording, job.chunk.intervals(job.config.window)):
+        for window in chunk_windows(recording, intervals, left_out):
             estimate, note = attempt(estimator, window)
             if window.t_start >= job.chunk.start:
                 writer.append(window, estimate, note)
+    return left_out.count
 
 
-def chunk_windows(recording: Recording, intervals: list[Interval]) -> Iterator[Window]:
+class LeftOut:
+    """Counts the events of a chunk's windows that were left out; no other chunk counts them.
+
+    Args:
+        start, end: of the chunk's first window and of the next chunk's, ns.
+    """
+
+    def __init__(self, start: int, end: int) -> None:
+        self._start, self._end = start, end
+        self.count = 0
+
+    def note(self, check: StreamCheck | None) -> None:
+        """Take what the latest chunk of events has left out."""
+        gaps = check.order.gaps if check else np.empty(0, np.int64)
+        self.count += int(np.count_nonzero((gaps >= self._start) & (gaps < self._end)))
+
+
+def chunk_windows(
+    recording: Recording, intervals: list[Interval], left_out: LeftOut | None = None
+) -> Iterator[Window]:
     """Cut the windows of these intervals; what follows the last one is not read."""
     slicer = IntervalSlicer(intervals)
     for events in recording.event_chunks(intervals[0][0]):
+        if left_out:
+            left_out.note(recording.check)
         yield from slicer.push(events)
         if len(events) and events.t[-1] >= intervals[-1][1]:
             return

@@ -30,6 +30,7 @@ from emoflow_ros.evaluation.recording_options import (
 )
 from emoflow_ros.labels.label_chunks import Job, label_chunk
 from emoflow_ros.labels.label_run import JobRunner, Settings, label_all
+from emoflow_ros.readers.column_arguments import column_options
 
 LOCAL = "local"
 _RETRIES = 3  # of a job whose worker died
@@ -43,9 +44,9 @@ examples:
   label dsec/train/* --out labels --ray 10.0.0.1:6379 --workers 64 --resume
 
 writes DIR/<name of INPUT>.h5 per recording (docs/labels.md).
-exit codes: 0 done, 1 some recordings could not be labelled (they are listed), 2 bad input,
-130 interrupted (finished chunks are kept: the same command with --resume continues), 141 nobody
-reads the output.
+exit codes: 0 done, 1 some recordings could not be labelled or have no window with an estimate (they
+are listed), 2 bad input, 130 interrupted (finished chunks are kept: the same command with --resume
+continues), 141 nobody reads the output.
 """
 
 
@@ -108,7 +109,10 @@ def _run(options: argparse.Namespace) -> int:
     config = load_config(options.profile, overrides(options))
     _check(options, config)
     sequence = find_sequence(options.sequence) if options.sequence else None
-    sources = [Source(path, options.topic, options.calib, sequence) for path in options.inputs]
+    columns = column_options(options)
+    sources = [
+        Source(path, options.topic, options.calib, sequence, columns) for path in options.inputs
+    ]
     settings = Settings(config, options.chunk_s, options.margin_s, options.out, options.resume)
     _refuse_equal_names([settings.target(source) for source in sources])
     make_folder(options.out)

@@ -14,9 +14,10 @@ from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation.provenance import versions
+from emoflow_ros.evaluation.provenance import fingerprint, versions
 from emoflow_ros.evaluation.recording_options import Source, make_folder
-from emoflow_ros.labels.label_chunks import Chunk, Header, Job, fingerprint, merge
+from emoflow_ros.evaluation.window_run import outcome
+from emoflow_ros.labels.label_chunks import UNORDERED, Chunk, Header, Job, merge
 from emoflow_ros.readers import Recording, require_camera
 
 # Does the jobs and yields each with what `label_chunk` returned, in the order of completion.
@@ -174,6 +175,7 @@ def _header(source: Source, recording: Recording, settings: Settings) -> Header:
     provenance = {
         "recording": fingerprint(source.path),
         "topic": recording.topic,
+        "columns": str(source.columns or ""),
         "chunks": {"length_s": settings.chunk_s, "margin_s": settings.margin_s},
         "versions": versions(),
     }
@@ -200,18 +202,30 @@ def _jobs(plans: list[RecordingPlan]) -> Iterator[Job]:
 
 
 def _finish(plan: RecordingPlan) -> None:
-    """Join the chunks of a recording, if that is not done yet, and remove them."""
-    if plan.error or not plan.parts:
+    """Join the chunks of a recording, if that is not done yet, and remove them.
+
+    A file without any label is kept, since it says why, but its recording counts as failed.
+    """
+    if plan.error:
         return
     try:
-        merge(plan.parts, plan.target)
+        if plan.parts:
+            merge(plan.parts, plan.target)
         with h5py.File(plan.target) as file:
             status = file["status"].asstr()[:]
+            left_out = int(file.attrs.get(UNORDERED, 0))
     except OSError as error:
         _fail(plan, f"{plan.target}: cannot be written ({error}); give another --out")
         return
-    shutil.rmtree(plan.parts[0].parent)
-    tqdm.write(f"{plan.target}: {sum(status == Status.OK)} of {len(status)} windows estimated")
+    ok = int(sum(status == Status.OK))
+    if plan.parts:
+        shutil.rmtree(plan.parts[0].parent)
+        tqdm.write(f"{plan.target}: {outcome(ok, len(status), left_out)}")
+    else:
+        tqdm.write(f"{plan.target}: there already")
+    if not ok:
+        wrong = f"none of its {len(status)} windows could be estimated"
+        _fail(plan, f"{plan.source.path}: {wrong}; {plan.target} says why")
 
 
 def _fail(plan: RecordingPlan, error: str) -> None:

@@ -16,6 +16,7 @@ from emoflow_ros.node.tasks import Loss, Result, Task
 from emoflow_ros.node.worker_load import WorkerLoad
 
 _LATENCIES_KEPT = 200
+_SOME_ARE_USUAL = ("events_outside", "events_unordered")  # glitches of sensors and hosts
 _TOO_FAST = (
     "events come faster than the node decodes them; lower their rate, or give the node more of the "
     "processor"
@@ -28,11 +29,11 @@ _WARNINGS = {
     "messages_skipped": f"messages left out: {_TOO_FAST}",
     "messages_in_part": f"messages decoded in part: {_TOO_FAST}",
     "windows_dropped": "windows dropped: {drop}",
-    **{name: line for name, line in REFUSALS.items() if name != "events_outside"},
+    **{name: line for name, line in REFUSALS.items() if name not in _SOME_ARE_USUAL},
     "time_jumps": "jumps in event time: the estimation starts anew",
 }
 _ALSO_COUNTED = (
-    *("messages", "events", "events_thinned", "events_dropped", "events_outside", "seq_gaps"),
+    *("messages", "events", "events_thinned", "events_dropped", "seq_gaps", *_SOME_ARE_USUAL),
     *("internal_errors", "windows", "windows_forgotten", "twists_now"),
     "pictures_left_out",
     "wrong_stamps",

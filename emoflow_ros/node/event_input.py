@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from emoflow_ros.core.bounded_windows import RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import ClockMap, Timestamps
+from emoflow_ros.core.event_order import EventOrder, sifted
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.backlog import LeftOut, is_jump
@@ -66,7 +67,7 @@ class EventInput:
         self.epoch = epoch
         self.jump = ""
         self._stamp: int | None = None
-        self._last: int | None = None
+        self._order = EventOrder()
         self._decoder = make_decoder(ros_type, "cdr")
         self._slicer = RateLimitedSlicer(budget)
         self._slices = RateLimitedSlicer(slices) if slices else None
@@ -120,7 +121,9 @@ class EventInput:
         data, part = believed.data, believed.part
         before = None if believed.is_stamp_right else deepcopy(self._decoder)
         message = self._decode(data, part)
-        step = 0 if message is None else self._step(message)
+        step = 0
+        if message is not None and self._stamp is not None:
+            step = self._order.step_to(message.events)
         if before is not None and not 0 <= step < _NEAR_NS:
             self._decoder = before  # its time is counted on from messages before it
             self._leave_out("it is of another time than those around it")
@@ -137,14 +140,12 @@ class EventInput:
             self._statistics.counts["wrong_stamps"] += 1
             self._warn("the stamp of a message is not used: it is far from those around it")
         self._statistics.counts["seq_gaps"] = self._decoder.statistics.seq_gaps
-        events = self._inside(message)
+        events = self._in_order(self._inside(message))
+        self._statistics.add_events(len(events))
+        if not len(events):
+            return
         if part > 1:
             events = replace(events, stands_for=np.full(len(events), part, np.uint32))
-        if not len(events) or not self._follows(events):
-            self._statistics.add_events(0)
-            return
-        self._statistics.add_events(len(events))
-        self._last = int(events.t[-1])
         if believed.is_stamp_right:
             self._clock.observe(int(events.t[0]), message.stamp)
         self._statistics.clock_drift_ppm = self._clock.drift_ppm
@@ -152,7 +153,7 @@ class EventInput:
         self._frame_id = message.frame_id
         self._taken.append(events)
         end = self._slicer.next_end
-        is_complete = end is None or self._last >= end
+        is_complete = end is None or int(events.t[-1]) >= end
         if is_complete or sum(map(len, self._taken)) >= _MOST_TAKEN:
             self._cut()
 
@@ -195,12 +196,6 @@ class EventInput:
             self._warn(f"a malformed message is left out: {error}")
             return None
 
-    def _step(self, message: EventMessage) -> int:
-        """Event time from the last event to the first one of a message, ns; 0 if there is none."""
-        if self._stamp is None or self._last is None or not len(message.events):
-            return 0
-        return int(message.events.t[0]) - self._last
-
     def _start_epoch(self, step: int) -> None:
         """Start the next epoch after a step of time (ns): forget what was before it."""
         self._cut()
@@ -211,7 +206,8 @@ class EventInput:
         way = "back" if step < 0 else "forward"
         self.jump = f"event time went {way} by {abs(step) / NS_PER_S:.3f} s"
         self._statistics.counts["time_jumps"] += 1
-        self._stamp = self._last = None
+        self._stamp = None
+        self._order.reset()
         self._size = None  # another recording may be that of another sensor
         self._clock.reset()
         self._decoder.reset()
@@ -252,21 +248,26 @@ class EventInput:
             f"{events} do not fit the calibration of a {size} one; give this sensor's calibration"
         )
 
-    def _follows(self, events: Events) -> bool:
-        """Tell whether a message's events are in order; after a jump they start an epoch."""
-        if (events.t[1:] < events.t[:-1]).any():
-            self._leave_out("event times within it are out of order")
-            return False
-        if is_jump(int(events.t[-1] - events.t[0])):
-            self._leave_out("event times jump within it")
-            return False
-        step = 0 if self._last is None else int(events.t[0]) - self._last
+    def _in_order(self, events: Events) -> Events:
+        """Return the events that are in order; where time goes back for good, they start an epoch.
+
+        So does a whole message that is too early by a jump: windows cannot wait for the next one. A
+        message in which time jumps forward is left out whole.
+        """
+        before, order = self._order.left_out, copy(self._order)
+        kept, step = sifted(order, events)
         if is_jump(step):
             self._start_epoch(step)
-        elif step < 0:
-            self._leave_out(f"event time went back by {-step / NS_PER_S:.6f} s")
-            return False
-        return True
+            order = copy(self._order)
+            kept, step = sifted(order, events)
+        if is_jump(step) or (len(kept) and is_jump(int(kept.t[-1] - kept.t[0]))):
+            self._leave_out("event times jump within it")
+            return Events.empty()
+        self._order = order
+        if left_out := order.left_out - before:
+            self._statistics.counts["events_unordered"] += left_out
+            self._warn(f"{left_out} events out of order are left out")
+        return kept
 
     def _cut(self) -> None:
         """Make tasks of what the last one of the taken messages completes: windows and a slice."""

@@ -14,7 +14,6 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo
 
-from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
@@ -251,17 +250,6 @@ class EventSource:
             f"for; change qos_overrides.{topic.name}.subscription.* or the publisher",
         )
         self._node.get_logger().error(self._statistics.problems["qos"][1], **throttled())
-
-
-def to_camera(info: CameraInfo) -> Camera:
-    """Build the camera model.
-
-    Raises:
-        InputError: the camera is not calibrated, or its lens model is unknown.
-    """
-    return Camera.from_intrinsic_matrix(
-        info.width, info.height, info.k, info.distortion_model, info.d
-    )
 
 
 def _kind(profile: QoSProfile) -> str:

@@ -19,8 +19,8 @@ _GRACE_S = 5.0
 
 _EPILOG = """\
 topics in:
-  events       dvs_msgs or prophesee_event_msgs EventArray, event_camera_msgs/EventPacket,
-               event_array_msgs/EventArray (older drivers),
+  events       dvs_msgs, prophesee_event_msgs or dv_ros2_msgs EventArray,
+               event_camera_msgs/EventPacket, event_array_msgs/EventArray (older drivers),
                sensor_msgs/PointCloud2; if nobody publishes `events`, the only event topic in
                the node's namespace is taken; PointCloud2 must be remapped
   camera_info  sensor_msgs/CameraInfo, the calibration, beside the events unless remapped
@@ -36,8 +36,8 @@ topics out:
   /diagnostics                                       what is wrong, rates, latency, losses
 
 Nothing is estimated without a calibration: where nobody publishes camera_info, give a
-camera_info YAML (or ECD calib.txt) by camera.calibration_file. Events without a size of their
-own, as in PointCloud2, take that of the calibration.
+calibration file (camera_info YAML, Kalibr, OpenCV, ECD) by camera.calibration_file. Events
+without a size of their own, as in PointCloud2, take that of the calibration.
 
 Topics and parameters are given as ROS arguments:
   estimator --ros-args -r events:=/davis/left/events -p camera.calibration_file:=calib.yaml

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
 
-from emoflow_ros.core.calibration import load_calibration
+from emoflow_ros.core.calibration import camera_from_info, load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
 from emoflow_ros.core.config import require_torch
@@ -18,7 +18,6 @@ from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.calibration_url import calibration_path
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
-from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level, Report
@@ -79,6 +78,8 @@ class Pipeline:
         self._node = node
         self._settings = settings
         self._camera = load_calibration(calibration_path(path)) if path else None
+        if self._camera is not None:
+            node.get_logger().info(f"calibration: {path}: {self._camera.description}")
         self._missing = ""  # why there is no camera
         self._topic: EventTopic | None = None
         self._input: EventInput | None = None
@@ -163,9 +164,8 @@ class Pipeline:
         self._input.camera = self._camera
         self._node.get_logger().info(f"listening to {topic.name} ({topic.type})")
         if self._camera is None:
-            wanted = topic_beside(self._node, topic, "camera_info")
             self._miss_camera(
-                f"no calibration yet: publish {wanted} or give camera.calibration_file"
+                f"no calibration yet: publish {self._info_topic()} or give camera.calibration_file"
             )
 
     def take_events(self, data: bytes, part: int = 1) -> None:
@@ -199,11 +199,10 @@ class Pipeline:
     def take_camera_info(self, info: CameraInfo) -> None:
         """Take a calibration, which may be the one in use."""
         try:
-            camera = to_camera(info)
+            camera = camera_from_info(info, self._info_topic(), "camera.calibration_file")
         except InputError as error:
-            line = f"camera_info: {error}"
-            self._miss_camera(line)
-            self._node.get_logger().error(line, **throttled())
+            self._miss_camera(str(error))
+            self._node.get_logger().error(str(error), **throttled())
             return
         self.statistics.clear_problem("camera")
         if camera != self._camera:
@@ -278,6 +277,10 @@ class Pipeline:
         self._waiting.clear()
         self.statistics.counts["windows_forgotten"] += forgotten
 
+    def _info_topic(self) -> str:
+        name = "camera_info"
+        return topic_beside(self._node, self._topic, name) if self._topic else name
+
     def _miss_camera(self, reason: str) -> None:
         self._missing = reason
         self.statistics.set_problem("camera", Level.ERROR, reason)
@@ -288,6 +291,6 @@ class Pipeline:
                 self._forget_waiting()  # windows of another sensor
             self._input.camera = camera
         self._camera = camera
-        self._node.get_logger().info(f"calibration: {camera.width}x{camera.height}, {camera.model}")
+        self._node.get_logger().info(f"calibration: {camera.description}")
         waiting, self._waiting = list(self._waiting), deque()
         self._hand_on(waiting)

@@ -67,7 +67,7 @@ class InputOptions:
         if self.type and self.type not in supported_types():
             raise InputError(
                 "input.type",
-                f"messages of type '{self.type}' hold no events",
+                f"there is no decoder for messages of type '{self.type}'",
                 f"use one of {', '.join(supported_types())}",
             )
 
@@ -78,7 +78,8 @@ class CameraOptions:
 
     calibration_file: str = option(
         "",
-        "camera_info YAML or ECD calib.txt, as a path, file:// or package:// URL; empty listens to "
+        "camera_info YAML, Kalibr camchain, OpenCV YAML or ECD calib.txt, as a path, file:// or "
+        "package:// URL; empty listens to "
         "the topic `camera_info`",
     )
     frame_id: str = option(

@@ -11,7 +11,8 @@ from emoflow_ros.node.reports import Level
 REFUSALS = {
     "malformed_messages": "malformed messages: check the driver's message version",
     "wrong_size_messages": "messages of another sensor size: give this sensor's calibration",
-    "unordered_messages": "messages with event times out of order: check the driver",
+    "unordered_messages": "messages in which event time jumps: check the driver",
+    "events_unordered": "events out of order: check the driver",
     "events_outside": "events outside the calibration's image: give this sensor's calibration",
 }
 DROPPED, FAILED = "dropped", "failed"

@@ -18,7 +18,12 @@ SETTLING_S = 1.0
 _AMBIGUOUS = "sensor_msgs/msg/PointCloud2"
 
 # Message packages that have no Debian package for Jazzy.
-_UNRELEASED = ("dvs_msgs", "event_array_msgs", "prophesee_event_msgs")
+_UNRELEASED = ("dv_ros2_msgs", "dvs_msgs", "event_array_msgs", "prophesee_event_msgs")
+# Messages of ROS 1 that ROS 2 has under another name.
+_ROS1_NAMES = {
+    "rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log",
+    "tf/msg/tfMessage": "tf2_msgs/msg/TFMessage",
+}
 
 
 @dataclass(frozen=True, order=True)
@@ -147,20 +152,33 @@ def import_message_type(ros_type: str) -> Any:
     """Import the Python class of a message type.
 
     Raises:
-        InputError: its package is not installed.
+        InputError: its package is not installed, or has no such message.
     """
-    package, _, name = ros_type.split("/")
-    fix = f"build {package} in your workspace"
-    if package not in _UNRELEASED:
-        fix = f"install ros-jazzy-{package.replace('_', '-')} or {fix}"
+    package, _, name = [*ros_type.split("/"), "", ""][:3]
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
+        module = importlib.import_module(f"{package}.msg")
+    except ImportError:
+        wrong = f"the message package {package} is not installed"
+        raise InputError(ros_type, wrong, _how_to_install(ros_type)) from None
+    try:
+        return getattr(module, name)
+    except AttributeError:
+        successor = _ROS1_NAMES.get(ros_type)
         raise InputError(
             ros_type,
-            f"the message package {package} is not installed",
-            f"{fix}, source its setup file and try again",
+            f"the message package {package} is installed, but has no message {name}",
+            f"ROS 2 has {successor} instead" if successor else f"install the {package} that has it",
         ) from None
+
+
+def _how_to_install(ros_type: str) -> str:
+    package = ros_type.partition("/")[0]
+    if successor := _ROS1_NAMES.get(ros_type):
+        return f"it is of ROS 1 only; ROS 2 has {successor} instead"
+    fix = f"build {package} in your workspace"
+    if package not in _UNRELEASED:
+        fix = f"install ros-jazzy-{package.replace('_', '-')}, if there is one, or {fix}"
+    return f"{fix}, source its setup file and try again"
 
 
 def _event_topics(graph: dict[str, str]) -> frozenset[EventTopic]:
@@ -172,7 +190,7 @@ def _supported(name: str, ros_type: str) -> str:
     if ros_type not in supported_types():
         raise InputError(
             name,
-            f"messages of type {ros_type} hold no events",
+            f"there is no decoder for messages of type {ros_type}",
             f"give a topic of one of {', '.join(supported_types())}",
         )
     return ros_type

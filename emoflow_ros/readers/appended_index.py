@@ -1,7 +1,6 @@
 """A bag's file with an index appended to it in memory, and the chunks that the index lists."""
 
 import io
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,34 +59,16 @@ class _Finished(io.RawIOBase):
 
 
 class BagChunk(NamedTuple):
-    """A chunk; per connection or channel, where its index is and how many messages it has."""
+    """A chunk; `counts` are its messages by connection."""
 
     at: int
     end: int
     start_time: int
     end_time: int
     counts: dict[int, int]
-    index_at: dict[int, int]
     name: bytes  # of the compression
     data: tuple[int, int]  # where it begins, bytes
     size: int  # uncompressed
-
-
-def records_of_new(
-    stream: Any,
-    chunks: list[BagChunk],
-    decompress: Callable[[BagChunk, bytes], bytes],
-    records: Callable[[bytes], Iterator[tuple[int, bytes]]],
-) -> dict[int, bytes]:
-    """Collect the definitions of connections or channels, each from the first chunk with it."""
-    found: dict[int, bytes] = {}
-    for chunk in chunks:
-        if chunk.counts.keys() <= found.keys():
-            continue
-        stream.seek(chunk.data[0])
-        packed = stream.read(chunk.data[1])
-        found = dict(records(decompress(chunk, packed))) | found
-    return found
 
 
 def number(data: bytes) -> int:

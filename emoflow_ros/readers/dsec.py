@@ -14,10 +14,13 @@ import yaml
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.column_layout import ColumnOptions
+from emoflow_ros.readers.event_columns import times_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
 from emoflow_ros.readers.reader_base import FileRecording
+from emoflow_ros.readers.time_units import US, Clues, sampled, tell_unit
 
 _RECTIFY_MAP = "rectify_map.h5"
 # As the archives of the whole data set unpack, and as those of one sequence are named.
@@ -33,7 +36,6 @@ _NAME = re.compile(r"(interlaken|thun|zurich_city)_\d\d_[a-z]")
 
 _COLUMNS = ("x", "y", "t", "p")
 _SIZE = (640, 480)
-_US_PER_S = 1_000_000
 _MAP = "rectify_map"
 
 
@@ -119,9 +121,14 @@ class DsecRecording(FileRecording):
     TYPE = "dsec/events.h5"
 
     def __init__(
-        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+        self,
+        path: Path,
+        *,
+        topic: str | None = None,
+        calibration: Path | None = None,
+        columns: ColumnOptions | None = None,
     ) -> None:
-        super().__init__(path, topic=topic, calibration=calibration)
+        super().__init__(path, topic=topic, calibration=calibration, columns=columns)
         self.size = _SIZE
         self.rectified = path.is_dir() and calibration is None
         self._map: NDArray[np.float32] | None = None
@@ -132,7 +139,8 @@ class DsecRecording(FileRecording):
             if self.rectified:
                 self.camera = rectified_camera(folder.calibration)
                 self._map = _read_map(folder.rectify_map)
-        self.file_name = events.name
+        self.file_name, self.named = events.name, events
+        self._unit = US
         file = self.stack.enter_context(open_hdf5(events))
         if not holds(events, [f"events/{name}" for name in _COLUMNS]):
             self.stack.close()
@@ -148,7 +156,10 @@ class DsecRecording(FileRecording):
             self._offset = int(file["t_offset"][()]) if "t_offset" in file else 0
             if self._count:
                 t = self._columns[_COLUMNS.index("t")]
-                self.duration = (int(t[-1]) - int(t[0])) / _US_PER_S
+                sample = sampled(t.__getitem__, self._count)
+                declared = self.options.time_unit
+                self._unit = tell_unit(Clues(events, sample, self._count, declared, of_format=US))
+                self.duration = (float(sample[-1]) - float(sample[0])) * self._unit / NS_PER_S
 
     @staticmethod
     def matches(path: Path) -> bool:
@@ -175,7 +186,7 @@ class DsecRecording(FileRecording):
                 yield Events(x.astype(np.uint16), y.astype(np.uint16), self._ns(t), p > 0)
 
     def _ns(self, t: Any) -> Any:
-        return (t.astype(np.int64) + self._offset) * 1000
+        return times_ns(self.named, t.astype(np.int64) + self._offset, self._unit)
 
 
 def rectified_camera(path: Path) -> Camera:
@@ -193,7 +204,11 @@ def rectified_camera(path: Path) -> Camera:
         raise InputError(
             path, "holds no intrinsics of camRect0", "unpack the sequence's calibration again"
         ) from None
-    return Camera(width, height, fx, fy, cx, cy)
+    try:
+        return Camera(width, height, fx, fy, cx, cy)
+    except InputError as error:
+        fix = f"{error.fix}, or give a calibration with --calib FILE"
+        raise InputError(path, f"camRect0: {error.wrong}", fix) from None
 
 
 def _read_map(path: Path) -> NDArray[np.float32]:

@@ -1,6 +1,5 @@
 """What the readers of HDF5 data sets share: a file is opened, and its damage is refused."""
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, NoReturn
 import h5py
 
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.search_in_time import first_since
 
 try:  # optional: it registers the compressions that data sets use
     import hdf5plugin  # noqa: F401
@@ -64,15 +64,27 @@ def damage_refused(path: Path) -> Iterator[None]:
         refuse(path, error)
 
 
+def items_of(file: h5py.File) -> list[tuple[str, Any]]:
+    """List the groups and data sets of a file by name, without those whose names are no text."""
+    found: list[tuple[str, Any]] = []
+
+    def visit(name: str | bytes, item: Any) -> None:
+        if isinstance(name, str):  # bytes that are no UTF-8 stay bytes
+            found.append((name, item))
+
+    file.visititems(visit)
+    return found
+
+
 def row_before(rows: int, time: Callable[[int], int], since: int | None) -> int:
     """Find the last row before a time, by bisection; row 0 where there is none.
 
     Args:
-        rows: how many there are, in order of time.
+        rows: how many there are, in order of time but for single ones.
         time: the time of a row, ns.
         since: the time, ns; None for row 0.
     """
-    return 0 if since is None else max(0, bisect_left(range(rows), since, key=time) - 1)
+    return 0 if since is None else max(0, first_since(0, rows, time, since) - 1)
 
 
 def refuse(path: Path, error: Exception) -> NoReturn:

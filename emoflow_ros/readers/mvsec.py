@@ -7,10 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
+from emoflow_ros.readers.column_layout import ColumnOptions
+from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns
 from emoflow_ros.readers.hdf5 import CHUNK, damage_refused, holds, open_hdf5, row_before
-from emoflow_ros.readers.reader_base import FileRecording, pixel_coordinates, to_ns
+from emoflow_ros.readers.reader_base import FileRecording
+from emoflow_ros.readers.time_units import Clues, S, sampled, tell_unit
 
 _LEFT = "davis/left/events"  # the camera that MVSEC's ground truth belongs to
 _TOPICS = (_LEFT, "davis/right/events")
@@ -25,9 +30,14 @@ class MvsecRecording(FileRecording):
     TYPE = "mvsec/hdf5"
 
     def __init__(
-        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+        self,
+        path: Path,
+        *,
+        topic: str | None = None,
+        calibration: Path | None = None,
+        columns: ColumnOptions | None = None,
     ) -> None:
-        super().__init__(path, calibration=calibration)
+        super().__init__(path, calibration=calibration, columns=columns)
         self.size = _SIZE
         self.topic = topic or _LEFT
         if self.topic not in _TOPICS or not holds(path, [self.topic]):
@@ -39,12 +49,18 @@ class MvsecRecording(FileRecording):
             raise InputError(
                 path, f"an event table of shape {self._table.shape}", "a row is 'x y t p'"
             )
+        self._unit = S
         with damage_refused(path):
             self.duration = self._measure()
 
     def _measure(self) -> float | None:
-        if len(self._table) == 0:
+        """Tell the unit of t, which is seconds in MVSEC's files, and return the length in s."""
+        count = len(self._table)
+        if count == 0:
             return None
+        t = sampled(lambda rows: np.asarray(self._table[rows, _T]), count)
+        clues = Clues(self.path, t, count, self.options.time_unit, of_format=S)
+        self._unit = tell_unit(clues)
         first, last = (int(self._ns(self._table[row, _T])) for row in (0, -1))
         return (last - first) / NS_PER_S
 
@@ -66,5 +82,5 @@ class MvsecRecording(FileRecording):
                 x, y = pixel_coordinates(rows[:, _X]), pixel_coordinates(rows[:, _Y])
                 yield Events(x, y, self._ns(rows[:, _T]), rows[:, _P] > 0)
 
-    def _ns(self, seconds: Any) -> Any:
-        return to_ns(self.path, seconds)
+    def _ns(self, t: Any) -> Any:
+        return times_ns(self.path, t, self._unit)

@@ -1,11 +1,11 @@
-"""What every reader offers, and the checks that all readers share."""
+"""What every reader offers, and what all readers share."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S, Events
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, say
+from emoflow_ros.readers.column_layout import ColumnOptions
+from emoflow_ros.readers.stream_check import StreamCheck
 
-# A few events outside are a sensor's glitch; more than this share tells of another sensor.
-MAX_OUTSIDE_SHARE = 0.01
-_MIN_JUDGED = 1000
-_FURTHEST_NS = 9e18
-ANY_SIZE = 1 << 16  # of an unknown sensor: coordinates are 16-bit
+# Of an unknown sensor: coordinates are 16-bit, and the largest one stands for all outside.
+ANY_SIZE = int(np.iinfo(np.uint16).max)
 
 
 @dataclass(frozen=True)
@@ -58,22 +57,26 @@ class Recording(Protocol):
         topic: the event topic or data set inside it; empty where there is only one.
         camera: the calibrated camera; None where neither the recording nor a file gives one.
         duration: length in seconds, for progress; None where only reading would tell.
+        check: of the latest reading of events; None before the first.
     """
 
     path: Path
     topic: str
     camera: Camera | None
     duration: float | None
+    check: StreamCheck | None
 
     def event_chunks(self, since: int | None = None) -> Iterator[Events]:
         """Stream the events in order of time, in chunks that fit in memory.
+
+        Single events that are not in order are left out and counted, see `EventOrder`.
 
         Args:
             since: leave out the events before this time, ns. Formats that can be entered in the
                 middle are not read from the start then.
 
         Raises:
-            InputError: damaged data, times that go backwards, events outside the sensor.
+            InputError: damaged data, times that go back for good, events outside the sensor.
         """
         ...
 
@@ -102,15 +105,6 @@ class Recording(Protocol):
     ) -> None: ...
 
 
-def pixel_coordinates(values: NDArray[Any]) -> NDArray[np.uint16]:
-    """Convert to the type of `Events`; what does not fit becomes its largest value: outside."""
-    if values.dtype == np.uint16:
-        return values
-    largest = np.iinfo(np.uint16).max
-    fits = (values >= 0) & (values < largest)
-    return np.where(fits, values, largest).astype(np.uint16)
-
-
 def refuse_imu_topic(path: Path, topic: str | None) -> None:
     """Refuse an IMU topic that is given for a recording that is no bag.
 
@@ -130,17 +124,16 @@ def trimmed(chunks: Iterable[Events], since: int | None) -> Iterator[Events]:
             yield events[int(np.searchsorted(events.t, since)) :]
 
 
-def to_ns(path: Path, t: NDArray[Any], unit: int = NS_PER_S) -> NDArray[np.int64]:
-    """Convert times of a floating-point type in units of so many ns.
+def read_camera(path: Path) -> Camera:
+    """Read a calibration file, and say what was assumed of it.
 
     Raises:
-        InputError: a time that is not finite, or further than centuries from zero.
+        InputError: see `load_calibration`.
     """
-    with np.errstate(all="ignore"):
-        ns = t.astype(np.float64) * unit
-    if not (np.abs(ns) < _FURTHEST_NS).all():
-        raise InputError(path, "event times that are not finite", "copy it again")
-    return np.rint(ns).astype(np.int64)
+    camera = load_calibration(path)
+    if camera.note:
+        say(path, camera.note)
+    return camera
 
 
 def require_camera(recording: Recording) -> Camera:
@@ -153,108 +146,46 @@ def require_camera(recording: Recording) -> Camera:
         raise InputError(
             recording.path,
             "holds no camera calibration",
-            "give one with --calib FILE (camera_info YAML or ECD calib.txt)",
+            "give one with --calib FILE (camera_info YAML, Kalibr, OpenCV or ECD calib.txt)",
         )
     return recording.camera
 
 
-class StreamCheck:
-    """Check chunk after chunk of a stream: order of time, and events outside the sensor.
-
-    Args:
-        path: what to name in errors.
-        width, height: the sensor in px.
-    """
-
-    def __init__(self, path: Path, width: int, height: int) -> None:
-        self._path = path
-        self._width = width
-        self._height = height
-        self._last: int | None = None
-        self.seen = 0
-        self.outside = 0
-
-    def __call__(self, events: Events, dropped: int = 0) -> Events:
-        """Return the chunk without the events outside the sensor.
-
-        Args:
-            events: the next chunk.
-            dropped: events outside the sensor that the decoder has already left out.
-
-        Raises:
-            InputError: time goes backwards, or too many events are outside.
-        """
-        inside = events.inside(self._width, self._height)
-        if not inside.all():
-            dropped += int((~inside).sum())
-            events = events[inside]
-        self.seen += len(events) + dropped
-        self.outside += dropped
-        if self.seen >= _MIN_JUDGED:
-            self._judge_outside()
-        self._check_order(events)
-        return events
-
-    def finish(self) -> None:
-        """Check the stream as a whole, at its end.
-
-        Raises:
-            InputError: no events at all, or too many outside.
-        """
-        if self.seen == 0:
-            raise InputError(self._path, "holds no events", "give a recording that has some")
-        self._judge_outside()
-
-    def _judge_outside(self) -> None:
-        if self.outside > MAX_OUTSIDE_SHARE * self.seen:
-            raise InputError(
-                self._path,
-                f"{self.outside} of {self.seen} events lie outside the "
-                f"{self._width}x{self._height} sensor",
-                "give the calibration of the sensor that recorded it",
-            )
-
-    def _check_order(self, events: Events) -> None:
-        if len(events) == 0:
-            return
-        last = int(events.t[0]) if self._last is None else self._last
-        backwards = events.t[1:] < events.t[:-1]
-        if events.t[0] < last:
-            self._refuse_order(last, int(events.t[0]))
-        if backwards.any():
-            i = int(backwards.argmax())
-            self._refuse_order(int(events.t[i]), int(events.t[i + 1]))
-        self._last = int(events.t[-1])
-
-    def _refuse_order(self, before: int, after: int) -> None:
-        raise InputError(
-            self._path,
-            f"event times are not sorted ({after / NS_PER_S:.6f} s follows "
-            f"{before / NS_PER_S:.6f} s)",
-            "sort the events by time",
-        )
+def unordered(recording: Recording) -> int:
+    """How many events the latest reading of a recording has left out as not in order of time."""
+    return recording.check.order.left_out if recording.check else 0
 
 
 class FileRecording:
     """A single file with one stream of events; a subclass opens it and yields its events.
 
     Attributes:
+        options: what the user says of columns that do not say it themselves.
         file_name: of the file that holds the events.
+        named: the file that errors name.
         stack: closes what the subclass opens.
         size: (width, height) as the file gives it; (0, 0) where it gives none.
     """
 
     def __init__(
-        self, path: Path, *, topic: str | None = None, calibration: Path | None = None
+        self,
+        path: Path,
+        *,
+        topic: str | None = None,
+        calibration: Path | None = None,
+        columns: ColumnOptions | None = None,
     ) -> None:
         if topic is not None:
             raise InputError(path, "a file of one stream has no topics", "leave --topic out")
         self.path = path
         self.topic = ""
         self.file_name = path.name
-        self.camera = load_calibration(calibration) if calibration else None
+        self.named = path
+        self.camera = read_camera(calibration) if calibration else None
         self.duration: float | None = None
+        self.check: StreamCheck | None = None
         self.size = (0, 0)
+        self.options = columns or ColumnOptions()
         self.stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -279,9 +210,9 @@ class FileRecording:
         Raises:
             InputError: the calibration is of another size, or see StreamCheck.
         """
-        check = StreamCheck(self.path, *self._sensor_size())
+        self.check = check = StreamCheck(self.named, *self._sensor_size())
         yield from trimmed(map(check, chunks), since)
-        check.finish()
+        yield from trimmed([check.finish()], since)
 
     def _sensor_size(self) -> tuple[int, int]:
         if self.camera is None:
@@ -289,7 +220,7 @@ class FileRecording:
         size = self.camera.width, self.camera.height
         if all(self.size) and self.size != size:
             raise InputError(
-                self.path,
+                self.named,
                 f"events of a {self.size[0]}x{self.size[1]} sensor with the calibration of a "
                 f"{size[0]}x{size[1]} one",
                 "give this sensor's calibration with --calib FILE",

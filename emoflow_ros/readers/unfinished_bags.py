@@ -1,7 +1,7 @@
 """Bags whose recorder was stopped before it wrote the index: read as if it had just written it.
 
 The whole records are found by walking over them. An index of them is appended in memory; the file
-itself stays as it is. Sources: ROS bag format 2.0, MCAP specification.
+itself stays as it is. Source: ROS bag format 2.0. A database's journal is worked into a copy of it.
 """
 
 import io
@@ -10,25 +10,29 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.rosbag1.reader import decompressors
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
-from emoflow_ros.readers.appended_index import BagChunk, finished_file, number, records_of_new
+from emoflow_ros.readers.appended_index import BagChunk, finished_file, number
 
 _ROS1_START = 13  # after the line with the version
 _ROS1_HEAD_FIELDS = (b"index_pos=", b"conn_count=", b"chunk_count=")
+_JOURNALS = ("-wal", "-journal")
+_ROS1_MESSAGE = 2
 _ROS1_INDEX, _ROS1_CHUNK, _ROS1_CHUNK_INFO, _ROS1_CONNECTION = 4, 5, 6, 7
 
-_MCAP_MAGIC = b"\x89MCAP0\r\n"
-_MCAP_FOOTER, _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 2, 3, 4, 5, 6
-_MCAP_MESSAGE_INDEX, _MCAP_CHUNK_INDEX, _MCAP_DATA_END = 7, 8, 15
-_MCAP_CHUNK_HEAD = 32  # start, end, size, checksum and the length of the compression's name
+
+def finished_ros1(file: Path) -> Path | None:
+    """Return an unfinished ROS 1 bag with an index; None where it has one or nothing is whole."""
+    try:
+        with file.open("rb") as stream:
+            return _finish_ros1(file, stream)
+    except Exception:  # damaged in other ways, as any of the libraries may say
+        return None
 
 
 def _finish_ros1(file: Path, stream: Any) -> Path | None:
-    """Make an unfinished ROS 1 bag readable; None where it was finished or nothing is whole."""
     size = file.stat().st_size
     head = stream.read(8192)
     places = {name: head.index(name) + len(name) for name in _ROS1_HEAD_FIELDS}
@@ -36,27 +40,77 @@ def _finish_ros1(file: Path, stream: Any) -> Path | None:
     if 0 < index_pos < size:
         return None
     chunks: list[BagChunk] = []
+    end = _ROS1_START
     for at, fields, data_at, length in _ros1_records(stream, _ROS1_START, size):
         kind = fields[b"op"][0]
         if kind in (_ROS1_CONNECTION, _ROS1_CHUNK_INFO):
             break
         if kind == _ROS1_CHUNK:
             packing = fields[b"compression"], (data_at, length), number(fields[b"size"])
-            chunks.append(BagChunk(at, data_at + length, -1, -1, {}, {}, *packing))
+            chunks.append(BagChunk(at, data_at + length, -1, -1, {}, *packing))
         if kind == _ROS1_INDEX and chunks:
             chunks[-1] = _with_ros1_index(chunks[-1], fields, stream.read(length), data_at + length)
-    chunks = [chunk for chunk in chunks if chunk.counts]
+        end = data_at + length
+    begun = _begun_chunk(stream, chunks[-1].at if chunks and not chunks[-1].counts else end, size)
+    chunks = [chunk for chunk in chunks if chunk.counts] + ([begun.chunk] if begun else [])
     if not chunks:
         return None
-    connections = records_of_new(stream, chunks, _ros1_decompressed, _ros1_connections)
-    tail = b"".join(connections.values()) + b"".join(map(_ros1_chunk_info, chunks))
+    connections = _connections_of(stream, chunks)
+    index = begun.records if begun else b""
+    tail = index + b"".join(connections.values()) + b"".join(map(_ros1_chunk_info, chunks))
     whole = chunks[-1].end
-    values = ((whole, 8), (len(connections), 4), (len(chunks), 4))
+    values = ((whole + len(index), 8), (len(connections), 4), (len(chunks), 4))
     patches = {
         place: value.to_bytes(bytes_, "little")
         for place, (value, bytes_) in zip(places.values(), values, strict=True)
     }
-    return finished_file(file, whole, patches, tail)
+    return finished_file(file, whole, patches | (begun.patches if begun else {}), tail)
+
+
+class _Begun(NamedTuple):
+    """A chunk whose recorder had not filled in its length, or written its index."""
+
+    chunk: BagChunk
+    patches: dict[int, bytes]
+    records: bytes  # of its index
+
+
+def _begun_chunk(stream: Any, at: int, size: int) -> _Begun | None:
+    """Find the whole messages of an uncompressed chunk that was being written at the end.
+
+    Its length is 0 until it is full: its messages then seem to be records beside it.
+    """
+    stream.seek(at)
+    length = number(stream.read(4))
+    header = stream.read(length)
+    data_at = at + 8 + length
+    fields = _ros1_fields(header) if data_at < size else {}
+    if fields.get(b"op") != bytes([_ROS1_CHUNK]) or fields[b"compression"] != b"none":
+        return None
+    entries: dict[int, list[tuple[bytes, int]]] = {}
+    end = data_at
+    for start, inner, inner_at, inner_length in _ros1_records(stream, data_at, size):
+        kind = inner[b"op"][0]
+        if kind == _ROS1_MESSAGE:
+            entry = inner[b"time"], start - data_at
+            entries.setdefault(number(inner[b"conn"]), []).append(entry)
+        elif kind != _ROS1_CONNECTION:
+            break
+        end = inner_at + inner_length
+    if not entries:
+        return None
+    whole = end - data_at
+    chunk = BagChunk(at, end, -1, -1, {}, b"none", (data_at, whole), whole)
+    index = b""
+    for connection, own in entries.items():
+        data = b"".join(time + struct.pack("<I", offset) for time, offset in own)
+        head = {b"op": bytes([_ROS1_INDEX]), b"ver": struct.pack("<I", 1)}
+        head |= {b"conn": struct.pack("<I", connection), b"count": struct.pack("<I", len(own))}
+        index += _ros1_record(head, data)
+        chunk = _with_ros1_index(chunk, head, data, end)
+    lengths = struct.pack("<I", whole)
+    places = at + 4 + header.index(b"size=") + len(b"size="), data_at - 4
+    return _Begun(chunk, dict.fromkeys(places, lengths), index)
 
 
 def _ros1_records(
@@ -98,6 +152,19 @@ def _with_ros1_index(
     return chunk._replace(end=end, start_time=low, end_time=high, counts=counts)
 
 
+def _connections_of(stream: Any, chunks: list[BagChunk]) -> dict[int, bytes]:
+    """Collect the records of connections, each from the first chunk that has it."""
+    found: dict[int, bytes] = {}
+    for chunk in chunks:
+        if chunk.counts.keys() <= found.keys():
+            continue
+        at, length = chunk.data
+        stream.seek(at)
+        data = decompressors[chunk.name.decode()](stream.read(length))
+        found = dict(_ros1_connections(data)) | found
+    return found
+
+
 def _ros1_connections(data: bytes) -> Iterator[tuple[int, bytes]]:
     for at, fields, data_at, length in _ros1_records(io.BytesIO(data), 0, len(data)):
         if fields[b"op"][0] == _ROS1_CONNECTION:
@@ -114,134 +181,17 @@ def _ros1_chunk_info(chunk: BagChunk) -> bytes:
         b"end_time": times[1],
         b"count": struct.pack("<I", len(chunk.counts)),
     }
+    return _ros1_record(fields, b"".join(struct.pack("<II", *p) for p in chunk.counts.items()))
+
+
+def _ros1_record(fields: dict[bytes, bytes], data: bytes) -> bytes:
     parts = [name + b"=" + value for name, value in fields.items()]
     header = b"".join(struct.pack("<I", len(part)) + part for part in parts)
-    data = b"".join(struct.pack("<II", *pair) for pair in chunk.counts.items())
     return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
 
 
-def _ros1_decompressed(chunk: BagChunk, packed: bytes) -> bytes:
-    return decompressors[chunk.name.decode()](packed)
-
-
-def _finish_mcap(file: Path, stream: Any) -> Path | None:
-    """Make an unfinished MCAP file readable; None where it was finished or nothing is whole."""
-    size = file.stat().st_size
-    stream.seek(max(0, size - len(_MCAP_MAGIC)))
-    if stream.read() == _MCAP_MAGIC:
-        return None
-    chunks: list[BagChunk] = []
-    definitions: list[bytes] = []
-    whole = len(_MCAP_MAGIC)
-    has_messages = False
-    for at, kind, data_at, length in _mcap_records(stream, whole, size):
-        if kind == _MCAP_DATA_END:
-            break
-        if kind == _MCAP_CHUNK:
-            chunks.append(_mcap_chunk(stream, at, length))
-        elif kind == _MCAP_MESSAGE_INDEX and chunks:
-            (channel,) = struct.unpack("<H", stream.read(2))
-            last = chunks[-1]
-            last.index_at[channel] = at
-            last.counts[channel] = (length - 6) // 16
-            chunks[-1] = last._replace(end=data_at + length)
-        elif kind in (_MCAP_SCHEMA, _MCAP_CHANNEL):
-            stream.seek(at)
-            definitions.append(stream.read(9 + length))
-        has_messages |= kind in (_MCAP_MESSAGE, _MCAP_CHUNK)
-        whole = data_at + length
-    if not has_messages:
-        return None
-    if not any(chunk.counts for chunk in chunks):  # without indexes: it is read from its start
-        return finished_file(file, whole, {}, _mcap_end(0))
-    chunks = [chunk for chunk in chunks if chunk.counts]
-    whole = chunks[-1].end
-    inner = records_of_new(stream, chunks, _mcap_decompressed, _mcap_definitions)
-    summary = b"".join([*definitions, *inner.values(), *map(_mcap_chunk_index, chunks)])
-    return finished_file(file, whole, {}, summary + _mcap_end(whole))
-
-
-def _mcap_records(stream: Any, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield start, kind, start of the content and its length of every whole record."""
-    while at + 9 <= end:
-        stream.seek(at)
-        kind, length = struct.unpack("<BQ", stream.read(9))
-        if at + 9 + length > end:
-            return
-        yield at, kind, at + 9, length
-        at += 9 + length
-
-
-def _mcap_chunk(stream: Any, at: int, length: int) -> BagChunk:
-    start, end, size, _, name_length = struct.unpack("<QQQII", stream.read(_MCAP_CHUNK_HEAD))
-    if _MCAP_CHUNK_HEAD + name_length + 8 > length:
-        raise ValueError("a chunk that is shorter than its head")
-    name = stream.read(name_length)
-    (packed,) = struct.unpack("<Q", stream.read(8))
-    data_at = at + 9 + _MCAP_CHUNK_HEAD + name_length + 8
-    if data_at + packed > at + 9 + length:
-        raise ValueError("a chunk that is longer than its record")
-    return BagChunk(at, at + 9 + length, start, end, {}, {}, name, (data_at, packed), size)
-
-
-def _mcap_definitions(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield every channel with its schema before it, by the channel's number."""
-    schemas: dict[int, bytes] = {}
-    for at, kind, data_at, length in _mcap_records(io.BytesIO(data), 0, len(data)):
-        record = data[at : data_at + length]
-        if kind == _MCAP_SCHEMA:
-            schemas[number(data[data_at : data_at + 2])] = record
-        elif kind == _MCAP_CHANNEL:
-            channel, schema = struct.unpack_from("<HH", data, data_at)
-            yield channel, schemas.get(schema, b"") + record
-
-
-def _mcap_chunk_index(chunk: BagChunk) -> bytes:
-    offsets = b"".join(struct.pack("<HQ", *pair) for pair in chunk.index_at.items())
-    indexed = min(chunk.index_at.values())
-    content = struct.pack("<QQQQ", chunk.start_time, chunk.end_time, chunk.at, indexed - chunk.at)
-    content += struct.pack("<I", len(offsets)) + offsets + struct.pack("<Q", chunk.end - indexed)
-    content += struct.pack("<I", len(chunk.name)) + chunk.name
-    content += struct.pack("<QQ", chunk.data[1], chunk.size)
-    return struct.pack("<BQ", _MCAP_CHUNK_INDEX, len(content)) + content
-
-
-def _mcap_end(summary: int) -> bytes:
-    return struct.pack("<BQQQI", _MCAP_FOOTER, 20, summary, 0, 0) + _MCAP_MAGIC
-
-
-def _mcap_decompressed(chunk: BagChunk, packed: bytes) -> bytes:
-    return DECOMPRESSORS[chunk.name.decode()](packed, chunk.size)
-
-
-_JOURNALS = ("-wal", "-journal")
-
-_FINISH = {".bag": _finish_ros1, ".mcap": _finish_mcap}
-
-
-def finished(file: Path, folder: Path) -> Path | None:
-    """Make an unfinished storage file readable.
-
-    Args:
-        file: a .bag, .mcap or .db3 file.
-        folder: for the copy of a database, which its journal is worked into.
-
-    Returns:
-        What to read in its place; None where it was finished or holds nothing that is whole.
-    """
-    if file.suffix == ".db3":
-        return _finished_database(file, folder)
-    finish = _FINISH.get(file.suffix)
-    if finish is None or not file.is_file():
-        return None
-    try:
-        with file.open("rb") as stream:
-            return finish(file, stream)
-    except Exception:  # damaged in other ways, as any of the libraries may say
-        return None
-
-
-def _finished_database(file: Path, folder: Path) -> Path | None:
+def finished_database(file: Path, folder: Path) -> Path | None:
+    """Work the journal of a database's last process into a copy; None where it left none."""
     journals = [Path(f"{file}{suffix}") for suffix in _JOURNALS]
     there = [j for j in journals if j.is_file() and j.stat().st_size]
     if not there:

@@ -128,6 +128,7 @@ def _facts(run: Evaluation) -> dict[str, Any]:
         "windows_ok": sum(w.ok for w in run.windows),
         "windows_with_exception": sum(bool(w.note) for w in run.windows),
         "events": run.events,
+        "events_unordered": run.unordered,
         "recorded_s": recorded,
         "wall_s": run.wall_s,
         "wall_real_time_factor": recorded / run.wall_s if run.wall_s else None,

@@ -1,17 +1,18 @@
 """Ground truth from a bag: poses and, where there are depth images, flow."""
 
 from contextlib import ExitStack
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.bag_files import deserialize, open_bag, read_messages
+from emoflow_ros.readers.bag_files import Bag, deserialize, open_bag, read_messages
+from emoflow_ros.readers.stamps import distinct
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, PropagatedFlow
 from emoflow_ros.truth.ground_truth import TAKEN_AS_CAMERA, PoseTrack, PoseTwist, Truth, pose_track
 
@@ -49,7 +50,7 @@ def load_bag_truth(path: Path, camera: Camera, namespace: str) -> Truth:
     return Truth(twists, PropagatedFlow(maps), poses=track)
 
 
-def _choose_poses(path: Path, reader: AnyReader, namespace: str) -> str:
+def _choose_poses(path: Path, reader: Bag, namespace: str) -> str:
     """Choose the camera's topic `pose`, or the only one that the first of these rules leaves.
 
     Topics named `pose`; those in the camera's namespace; PoseStamped; Odometry.
@@ -80,7 +81,7 @@ def _choose_poses(path: Path, reader: AnyReader, namespace: str) -> str:
 
 
 def _choose(
-    path: Path, reader: AnyReader, namespace: str, kind: str, names: tuple[str, ...]
+    path: Path, reader: Bag, namespace: str, kind: str, names: tuple[str, ...]
 ) -> Connection | None:
     """Find the topic `namespace/name`, or the only one whose last part is a name."""
     found = [c for c in reader.connections if c.msgtype == kind]
@@ -95,9 +96,7 @@ def _choose(
     return None
 
 
-def _read_track(
-    path: Path, reader: AnyReader, connections: list[Connection]
-) -> tuple[PoseTrack, str]:
+def _read_track(path: Path, reader: Bag, connections: list[Connection]) -> tuple[PoseTrack, str]:
     """Read the poses of a topic, and say whose they are, unless it is the camera's own."""
     rows = []
     note = "" if connections[0].topic.endswith(f"/{_POSE_NAME}") else TAKEN_AS_CAMERA
@@ -111,13 +110,13 @@ def _read_track(
         rows.append((_stamp(message), (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
     if not rows:
         raise InputError(path, f"no messages on {connections[0].topic}", "record it again")
-    stamps, positions, quaternions = zip(*sorted(rows), strict=True)
-    unique = np.unique(np.array(stamps, np.int64), return_index=True)[1]
+    stamps, positions, quaternions = zip(*sorted(rows, key=itemgetter(0)), strict=True)
+    kept = distinct(f"{path} {connections[0].topic}", np.array(stamps, np.int64))
     track = pose_track(
         path,
-        np.array(stamps, np.int64)[unique],
-        np.array(positions, np.float64)[unique],
-        np.array(quaternions, np.float64)[unique],
+        np.array(stamps, np.int64)[kept],
+        np.array(positions, np.float64)[kept],
+        np.array(quaternions, np.float64)[kept],
     )
     return track, note
 
@@ -128,7 +127,7 @@ class _DepthImages:
     def __init__(
         self,
         path: Path,
-        reader: AnyReader,
+        reader: Bag,
         connection: Connection,
         camera: Camera,
         stack: ExitStack,

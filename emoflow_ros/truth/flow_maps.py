@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.jit import njit
+from emoflow_ros.readers.stamps import distinct
+from emoflow_ros.truth.flow_kernels import carry
 from emoflow_ros.truth.ground_truth import FlowSource, PoseTrack, TrueFlow
 
 _KEPT_MAPS = 8
@@ -64,7 +65,9 @@ class PropagatedFlow:
     def __init__(self, maps: FlowMaps, *, published: bool = False) -> None:
         self._maps = maps
         self._published = published
-        self.stamps = maps.stamps
+        # Of two maps with one stamp the last one leads to the next stamp.
+        self._indices = distinct(maps.name, maps.stamps, keep_last=True)
+        self.stamps = maps.stamps[self._indices]
         self._kept: OrderedDict[int, _Map] = OrderedDict()
         self.description = f"flow: {maps.name}, propagated by nearest neighbour from map to map"
         if published:
@@ -93,52 +96,18 @@ class PropagatedFlow:
             part = t1 - t0 if last == first + 1 else min(end, t1) - max(begin, t0)
             share = part / (end - begin)
             flow_map = self._map(index)
-            _carry(flow_map.flow, flow_map.mover, share, moved, valid, moving)
+            carry(flow_map.flow, flow_map.mover, share, moved, valid, moving)
         moved[~valid] = 0
         told = flow_map.moving is not None
         return TrueFlow(moved.astype(np.float32), valid, moving if told else None)
 
     def _map(self, index: int) -> _Map:
         if index not in self._kept:
-            self._kept[index] = _Map(self._maps.read(index), self._maps.moving(index))
+            read = int(self._indices[index])
+            self._kept[index] = _Map(self._maps.read(read), self._maps.moving(read))
             if len(self._kept) > _KEPT_MAPS:
                 self._kept.popitem(last=False)
         return self._kept[index]
-
-
-@njit(nogil=True)
-def _carry(
-    flow: NDArray[np.float32],
-    mover: NDArray[np.bool_],
-    share: float,
-    moved: NDArray[np.float64],
-    valid: NDArray[np.bool_],
-    moving: NDArray[np.bool_],
-) -> None:
-    """Move every pixel on, by a share of the flow at the pixel nearest to where it is.
-
-    Args:
-        flow: (H, W, 2) px.
-        mover: (H, W), which of its pixels see a moving object.
-        share: of the flow.
-        moved: (H, W, 2) px, how far each pixel has come; added to.
-        valid: (H, W), cleared where there is no flow; the pixel stays there.
-        moving: (H, W), set where the nearest pixel sees a moving object.
-    """
-    height, width = flow.shape[:2]
-    for i in range(height):
-        for j in range(width):
-            column, row = int(np.rint(j + moved[i, j, 0])), int(np.rint(i + moved[i, j, 1]))
-            if not (0 <= column < width and 0 <= row < height):
-                valid[i, j] = False
-                continue
-            moving[i, j] |= mover[row, column]
-            u, v = flow[row, column]
-            if np.isfinite(u) and np.isfinite(v) and (u != 0 or v != 0):
-                moved[i, j, 0] += share * u
-                moved[i, j, 1] += share * v
-            else:
-                valid[i, j] = False
 
 
 class DepthFlowMaps:

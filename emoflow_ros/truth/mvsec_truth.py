@@ -5,7 +5,6 @@ flow maps, and `<sequence>_odom.npz` the data set's own, smoothed velocities.
 """
 
 import zipfile
-import zlib
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -18,6 +17,8 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import holds, open_hdf5, refuse
+from emoflow_ros.readers.numpy_damage import damage_as_value_error
+from emoflow_ros.readers.stamps import distinct
 from emoflow_ros.truth.flow_maps import DepthFlowMaps, FlowMaps, PropagatedFlow
 from emoflow_ros.truth.ground_truth import PoseTrack, PoseTwist, TrueTwist, Truth
 
@@ -87,8 +88,9 @@ def _read_track(path: Path, file: h5py.File) -> PoseTrack:
     stamps = _stamps(file, _POSE)
     if poses.shape != (len(stamps), 4, 4):
         raise InputError(path, f"{_POSE} of shape {poses.shape}", "give MVSEC's *_gt.hdf5")
-    stamps, unique = np.unique(stamps, return_index=True)
-    poses = poses[unique]
+    order = np.argsort(stamps, kind="stable")
+    kept = order[distinct(f"{path} {_POSE}", stamps[order])]
+    stamps, poses = stamps[kept], poses[kept]
     rotations = Rotation.from_matrix(poses[:, :3, :3])
     return PoseTrack(stamps, poses[:, :3, 3], rotations.as_quat())
 
@@ -133,12 +135,13 @@ class MvsecFlowMaps:
         self._path = path
         self.name = path.name
         try:
-            with zipfile.ZipFile(path) as archive, archive.open("timestamps.npy") as file:
-                seconds = np.lib.format.read_array(file)
-                told = "moving.npy" in archive.namelist()
-            self._columns = [_ArchivedImages(path, f"{part}.npy") for part in _FLOW_PARTS[1:]]
-            self._moving = _ArchivedImages(path, "moving.npy") if told else None
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+            with damage_as_value_error():
+                with zipfile.ZipFile(path) as archive, archive.open("timestamps.npy") as file:
+                    seconds = np.lib.format.read_array(file)
+                    told = "moving.npy" in archive.namelist()
+                self._columns = [_ArchivedImages(path, f"{part}.npy") for part in _FLOW_PARTS[1:]]
+                self._moving = _ArchivedImages(path, "moving.npy") if told else None
+        except (OSError, KeyError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise InputError(path, f"not a flow ground truth ({reason})", _FLOW_FIX) from None
         self.stamps = np.rint(seconds.astype(np.float64) * NS_PER_S).astype(np.int64)
@@ -157,8 +160,9 @@ class MvsecFlowMaps:
 
     def _read(self, frames: "_ArchivedImages", index: int) -> NDArray[np.float32]:
         try:
-            return frames.read(index)
-        except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+            with damage_as_value_error():
+                return frames.read(index)
+        except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise InputError(self._path, f"damaged ({reason})", "download it again") from None
 
@@ -208,7 +212,7 @@ class SmoothedOdometry:
 
     def __init__(self, path: Path) -> None:
         try:
-            with np.load(path) as archive:
+            with damage_as_value_error(), np.load(path) as archive:
                 seconds, linear, angular = (
                     np.asarray(archive[key], np.float64)
                     for key in ("timestamps", "lin_vel", "ang_vel")
@@ -221,10 +225,10 @@ class SmoothedOdometry:
             raise InputError(
                 path, "timestamps, lin_vel and ang_vel differ in length", _ODOMETRY_FIX
             )
-        if (np.diff(seconds) <= 0).any():
-            raise InputError(path, "times are not increasing", _ODOMETRY_FIX)
-        self.stamps = np.rint(seconds * NS_PER_S).astype(np.int64)
-        self._values = np.hstack([angular, linear])
+        stamps = np.rint(seconds * NS_PER_S).astype(np.int64)
+        kept = distinct(path, stamps)
+        self.stamps = stamps[kept]
+        self._values = np.hstack([angular, linear])[kept]
         self.description = (
             f"velocity: {path.name}, smoothed by the data set (recursive mean over 21 frames), "
             "linear between its stamps"

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.ecd import read_imu_text, read_table, require_increasing
+from emoflow_ros.readers.stamps import distinct
+from emoflow_ros.readers.text_tables import read_imu_text, read_table
 from emoflow_ros.truth.ground_truth import (
     TAKEN_AS_CAMERA,
     PoseTrack,
@@ -46,13 +47,13 @@ def read_poses(path: Path) -> PoseTrack:
     """Read poses as world-from-camera, in m; t is in s, us or ns, by the step between poses.
 
     Raises:
-        InputError: lines of another length, times that do not increase or whose unit cannot be
-            told, or quaternions without a length.
+        InputError: lines of another length, times that go back or whose unit cannot be told, or
+            quaternions without a length.
     """
     rows = read_table(path, _COLUMNS, _LAYOUT)
     stamps = np.rint(rows[:, 0] * _unit_ns(path, rows[:, 0])).astype(np.int64)
-    require_increasing(path, stamps)
-    return pose_track(path, stamps, rows[:, 1:4], rows[:, 4:])
+    kept = distinct(path, stamps)
+    return pose_track(path, stamps[kept], rows[kept, 1:4], rows[kept, 4:])
 
 
 def load_poses(path: Path, camera: Camera) -> Truth:
@@ -66,12 +67,13 @@ def _unit_ns(path: Path, t: NDArray[np.float64]) -> int:
     last = float(t[-1])
     if last >= _EPOCH_US:
         return 1 if last >= _EPOCH_NS else 1000
-    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    steps = np.diff(t)
+    if (steps < 0).any() or not steps.any():
+        return NS_PER_S  # refused in any unit, or a single time
+    step = float(np.median(steps[steps > 0]))
     for unit, shortest, longest in _STEPS:
         if shortest <= step < longest:
             return unit
-    if step < 0:
-        return NS_PER_S  # not in order, which is refused in any unit
     raise InputError(path, f"poses are {step:g} units of time apart", "give t in seconds")
 
 

@@ -25,6 +25,7 @@ _CONTINUED = 0xF
 
 _FIRST_NOT_CD = np.uint32((_CD_ON + 1) << 28)
 _WRAP_US = 1 << 34
+_JITTER_US = 10 << 12
 _HIGH, _KNOWN = range(2)
 _STATE_SIZE = 2
 
@@ -73,6 +74,9 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
             if last - high > _WRAP_US // 2:
                 high += _WRAP_US
                 wraps += 1
+            elif high - last > _WRAP_US - _JITTER_US and last >= _WRAP_US:  # back over the wrap
+                high -= _WRAP_US
+                wraps -= 1
             known = 1
         elif kind == _TRIGGER:
             triggers += 1

@@ -38,8 +38,11 @@ _SEEN_HIGH, _SEEN_LOW, _SEEN_ROW, _SEEN_BASE = 1, 2, 4, 8
 _ADDRESSABLE = _SEEN_HIGH | _SEEN_LOW | _SEEN_ROW
 
 _WRAP_US = 1 << 24
-# The high time of real sensors goes back a little at times without having wrapped.
+# The high time of real sensors goes back at times without having wrapped. After a gap it may be
+# any, so that only a small step back is no wrap.
+_STEP_BACK_US = _WRAP_US // 2
 _JITTER_US = 10 << 12
+_MOST_AHEAD_US = _WRAP_US - _JITTER_US
 _END_OF_ROW = np.int64(
     1 << 11
 )  # columns have 11 bits; a vector beyond lies outside of every sensor
@@ -92,6 +95,7 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
     high, low, row = state[_HIGH], state[_LOW], state[_ROW]
     base, on, known = state[_BASE], state[_ON], state[_KNOWN]
     n = triggers = wraps = skipped = 0
+    most = _STEP_BACK_US if known & _SEEN_HIGH else _JITTER_US
     for i in range(len(words)):
         word = np.int64(words[i])
         kind = word >> 12
@@ -113,9 +117,12 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
             known |= _SEEN_ROW if kind == _ADDR_Y else 0
             known |= _SEEN_LOW if kind == _TIME_LOW and known & _SEEN_HIGH else 0
             known |= _SEEN_HIGH if kind == _TIME_HIGH else 0
-            if last - high > _JITTER_US:
-                high += _WRAP_US
-                wraps += 1
+            if abs(last - high) > most:
+                is_wrap = last > high  # or jitter that steps back over one
+                if is_wrap or (high - last > _MOST_AHEAD_US and last >= _WRAP_US):
+                    high += _WRAP_US if is_wrap else -_WRAP_US
+                    wraps += 1 if is_wrap else -1
+            most = _STEP_BACK_US if kind == _TIME_HIGH else most
         elif kind == _VECT_BASE_X:
             base = word & 0x7FF
             on = word & 0x800

@@ -24,6 +24,7 @@ _VECT_BASE_Y = 0x4  # bits 0-10: row of the next vector's first pixel, bit 11: p
 _VECT_8 = 0x5  # bit i: an event at base + i; the base advances by 8
 
 _WRAP_US = 1 << 24
+_STEP_BACK_US = _WRAP_US // 2  # a smaller one is jitter
 _JITTER_US = 10 << 12
 _END_OF_COLUMN = np.int64(1 << 11)  # rows have 11 bits
 _NOT_SEEN = -1
@@ -102,9 +103,12 @@ def _decode(words, state, x, y, t, p):  # type: ignore[no-untyped-def]
         elif kind == _TIME_HIGH:
             last = high
             high = (last & -_WRAP_US) | (word & 0xFFF) << 12
-            if last - high > _JITTER_US:
+            if last - high > _STEP_BACK_US:
                 high += _WRAP_US
                 wraps += 1
+            elif high - last > _WRAP_US - _JITTER_US and last >= _WRAP_US:  # back over the wrap
+                high -= _WRAP_US
+                wraps -= 1
             time = time_base + (high | low) * 1000
         else:
             skipped += 1

@@ -1,4 +1,4 @@
-"""dvs_msgs/EventArray and prophesee_event_msgs/EventArray: an array of event structs.
+"""dvs_msgs/EventArray, and the same of Prophesee's and iniVation's drivers: an array of structs.
 
 Fields: Header header, uint32 height, uint32 width, Event[] events; Event: uint16 x, uint16 y,
 time ts, bool polarity. ROS 1 packs an event into 13 bytes. CDR aligns each member on its own,
@@ -29,7 +29,9 @@ from msg_adapters.message import (
 
 type Structs = NDArray[np.void]
 
-TYPES = ("dvs_msgs/msg/EventArray", "prophesee_event_msgs/msg/EventArray")
+TYPES = tuple(
+    f"{package}_msgs/msg/EventArray" for package in ("dvs", "prophesee_event", "dv_ros", "dv_ros2")
+)
 
 _EVENT_SIZE = 13  # without padding
 _ALIGNMENT = 2  # of an event's first member

@@ -6,9 +6,11 @@ width and height describe the cloud, not the sensor: the sensor's size stays unk
 PointCloud2 declares neither the unit nor the origin of the times, so both are inferred.
 
 Unit: the field's suffix (`t_s`, `t_us`, `t_ns`) if it has one. Otherwise the magnitude of epoch
-times decides (from 1e17: ns, from 1e14: us); else floats are seconds. Integers have 32 bits at
-most: they are us or ns, whichever agrees with the header's stamp; else us if they count from far
-before the message (ns would wrap every 4.3 s); else the span of the message decides.
+times decides (from 1e17: ns, from 1e14: us); else floats are seconds, unless a message of at least
+100 events would last more than one, and is one of 1e4 to 1e8 events per second in us or ms.
+Integers have 32 bits at most: they are us or ns, whichever agrees with the header's stamp; else us
+if they count from far before the message (ns would wrap every 4.3 s); else the span of the message
+decides.
 
 Origin: absolute if nearer to the header's stamp than to zero, or more than 1 s from zero (a
 sensor's own clock); else relative to the header's stamp.
@@ -20,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.events import NS_PER_MS, Events
 from msg_adapters.message import (
     NS_PER_S,
     Bytes,
@@ -49,6 +51,8 @@ _NEAR_NS = 2 * NS_PER_S
 _LONGEST_RELATIVE_NS = NS_PER_S
 # Messages of event cameras last 0.25 ms to 250 ms: a span above this is ns, below it us.
 _SPAN_BETWEEN_US_AND_NS = 250_000
+_ENOUGH = 100  # events of a message to tell a rate by
+_USUAL_RATE = (1e4, 1e8)  # events per second, as in readers/time_units.py
 _MAX_NS = 2.0**62  # leaves room for the stamp to be added
 
 
@@ -74,7 +78,8 @@ class _CloudTime:
         if t.size == 0:
             return np.empty(0, np.int64)
         low, high = float(t.min()), float(t.max())
-        unit, relative = self._meaning or _infer_time(name, t.dtype.kind, low, high, stamp)
+        seen = _Seen(name, t.dtype.kind, t.size, low, high, stamp)
+        unit, relative = self._meaning or _infer_time(seen)
         if self._meaning is None and stamp > _NEAR_NS:  # near zero all origins look alike
             self._meaning = unit, relative
         if max(abs(low), abs(high)) * unit >= _MAX_NS:
@@ -203,26 +208,48 @@ def _no_pixel(values: NDArray[Any]) -> NDArray[np.bool_] | np.bool_:
     return outside
 
 
-def _infer_time(name: str, kind: str, low: float, high: float, stamp: int) -> tuple[int, bool]:
-    unit = _unit_ns(name, kind, low, high, stamp)
-    start = low * unit
-    absolute = abs(start - stamp) < abs(start) or abs(start) > _LONGEST_RELATIVE_NS
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What a message says of its time field: name, kind of type, values, and the header's stamp."""
+
+    name: str
+    kind: str
+    count: int
+    low: float
+    high: float
+    stamp: int
+
+
+def _infer_time(seen: _Seen) -> tuple[int, bool]:
+    unit = _unit_ns(seen)
+    start = seen.low * unit
+    absolute = abs(start - seen.stamp) < abs(start) or abs(start) > _LONGEST_RELATIVE_NS
     return unit, not absolute
 
 
-def _unit_ns(name: str, kind: str, low: float, high: float, stamp: int) -> int:
+def _unit_ns(seen: _Seen) -> int:
     for suffix, unit in _UNITS_NS.items():
-        if name.endswith(suffix):
+        if seen.name.endswith(suffix):
             return unit
-    if abs(high) >= _EPOCH_NS:
+    if abs(seen.high) >= _EPOCH_NS:
         return 1
-    if abs(high) >= _EPOCH_US:
+    if abs(seen.high) >= _EPOCH_US:
         return 1_000
-    if kind == "f":
-        return NS_PER_S
+    span = seen.high - seen.low
+    if seen.kind == "f":
+        return _unit_of_floats(seen.count, span)
     for unit in (1_000, 1):
-        if stamp > _NEAR_NS and abs(low * unit - stamp) < _NEAR_NS:
+        if seen.stamp > _NEAR_NS and abs(seen.low * unit - seen.stamp) < _NEAR_NS:
             return unit
-    if low > high - low or high - low < _SPAN_BETWEEN_US_AND_NS:
+    if seen.low > span or span < _SPAN_BETWEEN_US_AND_NS:
         return 1_000
     return 1
+
+
+def _unit_of_floats(count: int, span: float) -> int:
+    """Seconds, unless a message would last too long, and would not in another unit."""
+    if count >= _ENOUGH and span * NS_PER_S > _LONGEST_RELATIVE_NS:
+        for unit in (1_000, NS_PER_MS):
+            if _USUAL_RATE[0] <= count / span * NS_PER_S / unit < _USUAL_RATE[1]:
+                return unit
+    return NS_PER_S

@@ -37,7 +37,7 @@ def test_bag(tmp_path, storage, make_events, write_event_bag):
     assert (topic.events, topic.on, topic.off) == (101, 51, 50)
     assert (topic.t_first, topic.t_last) == (1.0, 1.1)
     assert topic.rate == pytest.approx(1010)
-    assert (topic.packets, topic.malformed, topic.unsorted, topic.outside) == (2, 0, 0, 0)
+    assert (topic.packets, topic.malformed, topic.unordered, topic.outside) == (2, 0, 0, 0)
     assert info.other_topics == [
         {"name": "/cam/camera_info", "type": "sensor_msgs/msg/CameraInfo", "messages": 1}
     ]
@@ -54,11 +54,12 @@ def test_what_is_missing_and_what_is_wrong(tmp_path, make_events, write_event_ba
     info = inspect(path)
     assert [t.name for t in info.topics] == list(topics)
     for topic in info.topics:
-        assert topic.unsorted == 1
+        assert topic.unordered == np.count_nonzero(events.x[50:] < 20)
         assert topic.outside == np.count_nonzero(events.x >= 20)
-        assert topic.events == 100 - topic.outside
+        assert topic.events == 100 - topic.outside - topic.unordered
     assert [line.partition(": give")[0] for line in info.missing] == [
-        f"{t}: no calibration" for t in topics
+        *(f"{t}: no calibration" for t in topics),
+        *(f"{t}: event times are not sorted" for t in topics),
     ]
 
 
@@ -66,7 +67,7 @@ def test_bag_without_events(tmp_path, write_event_bag):
     path = write_event_bag(tmp_path / "a.bag", [], topics=())
     info = inspect(path)
     assert info.topics == []
-    assert info.missing == ["no event topic"]
+    assert info.missing == ["no topic of a known event type"]
     path = write_event_bag(tmp_path / "b.bag", [Events.empty()])
     info = inspect(path)
     assert info.topics[0].t_first is None
@@ -122,7 +123,7 @@ def test_clouds_without_events_are_another_topic(tmp_path):
     [
         ((32, 24), 20.0, None),
         ((64, 48), 20.0, "camera_info is of a 64x48 sensor"),
-        ((32, 24), 0.0, "camera_info cannot be used (camera: focal lengths fx=0.0"),
+        ((32, 24), 0.0, "camera_info cannot be used (/cam/camera_info: focal lengths fx=0.0"),
     ],
 )
 def test_camera_info_that_does_not_serve(tmp_path, make_events, size, focal, words):
@@ -171,6 +172,37 @@ def run_main(monkeypatch, capsys, *arguments: object) -> tuple[int, str, str]:
     monkeypatch.setattr(sys, "argv", ["info", *map(str, arguments)])
     code = main()
     return code, *capsys.readouterr()
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut"])
+def test_messages_of_events_without_any_event_are_an_error(
+    monkeypatch, capsys, tmp_path, make_events, write_event_bag, damage
+):
+    """What else it holds is said nevertheless, as text and as JSON."""
+    events = Events.empty() if damage == "empty" else make_events(10)
+    path = write_event_bag(tmp_path / "a.bag", [events], with_info=True)
+    if damage == "cut":
+        count = struct.pack("<I", 10)
+        data = path.read_bytes()
+        at = data.index(count, data.index(struct.pack("<II", 24, 32))) + len(count) - 1
+        path.write_bytes(data[:at] + b"\x7f" + data[at + 1 :])
+    line = f"error: {path}: 1 messages of events on /cam/events, and no event in them; "
+    code, out, err = run_main(monkeypatch, capsys, path)
+    assert (code, err.startswith(line)) == (2, True), err
+    assert "/cam/camera_info" in out
+    code, out, _ = run_main(monkeypatch, capsys, path, "--json")
+    assert (code, json.loads(out)["topics"][0]["events"]) == (2, 0)
+
+
+def test_a_bag_of_other_topics_is_described(monkeypatch, capsys, tmp_path, write_event_bag):
+    path = write_event_bag(tmp_path / "a.bag", [], topics=())
+    code, out, err = run_main(monkeypatch, capsys, path)
+    assert (code, err) == (0, "")
+    assert "missing: no topic of a known event type" in out
+    path = write_event_bag(tmp_path / "b.bag", [])  # a topic on which nothing was recorded
+    code, out, err = run_main(monkeypatch, capsys, path)
+    assert (code, err) == (0, "")
+    assert "missing: /cam/events: no events" in out
 
 
 def test_json(monkeypatch, capsys, tmp_path, make_events, write_event_bag):

@@ -1,5 +1,6 @@
 """Which events stay where more come than a window may hold."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -173,6 +174,17 @@ def test_a_few_events_among_many_are_not_always_the_ones_that_are_lost():
     both = both[np.argsort(both.t, kind="stable")]
     kept = WHOLE.limit_rate(both, START)
     assert 0 < np.count_nonzero(kept.y == 470) <= 16
+
+
+@pytest.mark.parametrize("shift", [100_000, 23_000_000_007, -(10**9), 10**18])
+def test_what_stays_does_not_depend_on_the_origin_of_the_clock(shift):
+    events = noise(300_000, 135.0)
+    kept = BUDGET.thin(window(events)).events
+    later = replace(events, t=events.t + shift)
+    others = BUDGET.thin(Window(START + shift, START + shift + 135 * MS, later)).events
+    assert len(kept) < len(events) / 10
+    assert (numbers(kept, events) == numbers(others, later)).all()
+    assert (kept.stands_for == others.stands_for).all()
 
 
 def test_hot_pixels_are_still_recognised():

@@ -114,6 +114,18 @@ class TestFolder:
         with pytest.raises(InputError, match="holds no intrinsics of camRect0"):
             open_recording(path)
 
+    def test_calibration_that_cannot_be(self, dsec, tmp_path):
+        path = copy_of(dsec, tmp_path, "calibration/cam_to_cam.yaml")
+        (path / "calibration").mkdir()
+        file = path / "calibration" / "cam_to_cam.yaml"
+        file.write_text("intrinsics: {camRect0: {camera_matrix: [0, 5, 3, 3]}}\n")
+        with pytest.raises(InputError) as error:
+            open_recording(path)
+        assert str(error.value) == (
+            f"{file}: camRect0: focal lengths fx=0.0, fy=5.0; calibrate the camera: both must be "
+            "positive, or give a calibration with --calib FILE"
+        )
+
     def test_map_of_another_size(self, dsec, tmp_path):
         path = copy_of(dsec, tmp_path, "events/left/rectify_map.h5")
         with h5py.File(path / "events" / "left" / "rectify_map.h5", "w") as file:

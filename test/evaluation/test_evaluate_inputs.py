@@ -153,7 +153,9 @@ def test_events_txt_is_its_folder_to_evaluate(call, ecd, tmp_path):
 def test_other_text_files_are_no_recordings(call, ecd):
     code, _, errors = call(info, ecd / "motion.txt")
     assert code == 2
-    assert "not a recording of a known format" in errors[0]
+    assert errors[0].endswith(
+        "motion.txt: lines of 3 numbers; a line is 't x y p'; name other columns with --layout"
+    )
 
 
 def test_streams_of_files_have_names_and_short_types(call, tmp_path):

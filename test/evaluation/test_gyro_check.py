@@ -1,5 +1,6 @@
 """Rotation, units and time offset between a gyro and the events, in closed form."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -167,3 +168,33 @@ def test_present_parameters_are_compared_with_the_best_ones():
     line = next(line for line in text.splitlines() if "left between" in line)
     left, present = (float(word) for word in line.split() if word.replace(".", "").isdigit())
     assert left < 2 < 20 < present
+
+
+@pytest.mark.parametrize("case", ["double speed", "unrelated", "another recording's"])
+def test_an_imu_that_does_not_fit_gets_no_parameters(case):
+    t, w = gyro_of(np.eye(3))
+    if case == "double speed":
+        t, w = gyro_of(np.eye(3), seconds=12.0)
+        t = START + (t - START) // 2
+    elif case == "unrelated":
+        rng = np.random.default_rng(5)
+        smooth = np.ones(150) / np.sqrt(150)
+        w = np.stack([np.convolve(rng.normal(size=len(t)), smooth, "same") for _ in range(3)], 1)
+    else:
+        w = w[::-1]
+    text = report(t, 0.6 * w)
+    [line] = [line for line in text.splitlines() if "nothing fits" in line]
+    explained, least = (int(share) for share in re.findall(r"(\d+)%", line))
+    left, moving = (float(value) for value in re.findall(r"\d+\.\d+", line))
+    assert explained < least == 70
+    assert explained == pytest.approx(100 * (1 - (left / moving) ** 2), abs=1)
+    assert "parameters" not in text
+
+
+def test_a_gyro_that_fits_says_how_much_it_explains():
+    text = report(*gyro_of(np.eye(3)))
+    assert "which explain 100% of the rotation" in text.replace("99%", "100%")
+    assert "parameters: imu.rotation=" in text
+    mirrored = report(*gyro_of(np.diag([-1.0, 1, 1])))
+    assert "no parameters can mend it" in mirrored
+    assert "parameters: " not in mirrored

@@ -28,7 +28,7 @@ MOST_BYTES_PER_WINDOW = 4096
 class Generated:
     """A recording that is made up while it is read, and watches the memory."""
 
-    path, topic, camera = Path("generated"), "", CAMERA
+    path, topic, camera, check = Path("generated"), "", CAMERA, None
 
     def __init__(self, windows):
         self.duration = windows * WINDOW_MS / 1e3

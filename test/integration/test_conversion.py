@@ -9,11 +9,12 @@ from dvs_msgs.msg import EventArray
 from event_bags import typestore
 from harness import CAMERA
 from rclpy.serialization import deserialize_message
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from sensor_msgs.msg import CameraInfo, Imu
 
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.readers.bag_files import Ros1Converter
+from emoflow_ros.readers.ros1_conversion import Ros1Converter
 from emoflow_ros.simulation.messages import EVENT_ARRAY, ImuSample, MessageEncoder
 
 STAMP = 1_500_000_000_123_456_789
@@ -38,7 +39,8 @@ bool polarity
 
 @pytest.fixture
 def converter() -> Ros1Converter:
-    connection = SimpleNamespace(msgtype=EVENT_ARRAY, msgdef=SimpleNamespace(data=EVENT_DEFINITION))
+    definition = MessageDefinition(MessageDefinitionFormat.MSG, EVENT_DEFINITION)
+    connection = SimpleNamespace(msgtype=EVENT_ARRAY, msgdef=definition)
     return Ros1Converter([connection])
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
+import dv_ros2_msgs.msg
 import dvs_msgs.msg
 import event_array_msgs.msg
 import event_camera_msgs.msg
@@ -138,6 +139,7 @@ def peer(message_type: Any, reliability: ReliabilityPolicy) -> Iterator[Peer]:
         pytest.param(
             prophesee_event_msgs.msg.EventArray, as_event_array, BEST_EFFORT, id="prophesee"
         ),
+        pytest.param(dv_ros2_msgs.msg.EventArray, as_event_array, BEST_EFFORT, id="dv_ros2"),
         *(
             pytest.param(
                 event_camera_msgs.msg.EventPacket,

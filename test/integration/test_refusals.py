@@ -36,7 +36,8 @@ REFUSALS = [
     ),
     (
         ["-p", "input.type:=dvs_msgs/EventArray"],
-        "error: input.type: messages of type 'dvs_msgs/EventArray' hold no events; use one of",
+        "error: input.type: there is no decoder for messages of type 'dvs_msgs/EventArray'; use "
+        "one of",
     ),
     (
         ["-p", "camera.calibration_file:=/nowhere.yaml"],

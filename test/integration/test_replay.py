@@ -178,7 +178,7 @@ def empty(folder: Path, good: Path) -> Path:
 
 def truncated(folder: Path, good: Path) -> Path:
     data = good.read_bytes()
-    (folder / "cut.bag").write_bytes(data[:100_000])
+    (folder / "cut.bag").write_bytes(data[:4000])  # within its header: nothing is whole
     return folder / "cut.bag"
 
 

@@ -32,7 +32,7 @@ with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.readers"])
     from messages import event_array, event_packet, point_cloud
 
     from emoflow_ros.errors import InputError
-    from emoflow_ros.readers.npz import NpzRecording
+    from emoflow_ros.readers.numpy_arrays import NumpyRecording
     from emoflow_ros.readers.prophesee_raw import PropheseeRawRecording
     from msg_adapters import make_decoder, supported_types
 
@@ -45,7 +45,7 @@ type Target = Callable[[bytes], None]
 DEFAULT_RUNS = 1_000_000
 MAX_LENGTH = 400
 DENSEST = max(EVENTS_PER_BYTE, key=EVENTS_PER_BYTE.__getitem__)
-READERS = {"raw": PropheseeRawRecording, "npz": NpzRecording}
+READERS = {"raw": PropheseeRawRecording, "npz": NumpyRecording, "npy": NumpyRecording}
 TARGETS = [
     *(f"{t}:{s}" for t in supported_types() for s in ("cdr", "ros1")),
     *(f"{PACKET}:{encoding}" for encoding in ENCODERS),

@@ -9,6 +9,7 @@ from rosbags.typesys.store import Typestore
 from emoflow_ros.core.events import Events
 
 NS_PER_S = 1_000_000_000
+PACKAGES = ("dvs_msgs", "prophesee_event_msgs", "dv_ros_msgs", "dv_ros2_msgs")
 
 _EVENT = "uint16 x\nuint16 y\n{time} ts\nbool polarity"
 _EVENT_ARRAY = "std_msgs/Header header\nuint32 height\nuint32 width\n{package}/Event[] events"
@@ -25,7 +26,7 @@ def typestore(serialization: str) -> Typestore:
     ros2 = serialization == "cdr"
     store = get_typestore(Stores.ROS2_JAZZY if ros2 else Stores.ROS1_NOETIC)
     types = get_types_from_msg(_EVENT_PACKET, "event_camera_msgs/msg/EventPacket")
-    for package in ("dvs_msgs", "prophesee_event_msgs"):
+    for package in PACKAGES:
         event = _EVENT.format(time="builtin_interfaces/Time" if ros2 else "time")
         types |= get_types_from_msg(event, f"{package}/msg/Event")
         types |= get_types_from_msg(

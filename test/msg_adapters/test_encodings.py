@@ -103,6 +103,30 @@ def test_evt3_high_time_that_steps_back_a_little_has_not_wrapped(evt3_stream):
     assert evt3_stream.statistics.time_wraps == 0
 
 
+@pytest.mark.parametrize("counts", [1, 9, 11, 250, 2000])
+def test_evt3_high_time_of_an_earlier_moment_shifts_nothing_behind_it(evt3_stream, counts):
+    """A time of up to 8 s before is no wrap: later events would be 16.8 s too late."""
+    later = 0x8000 | 0xA00
+    assert evt3_stream(later, 0x6000, 0x0000, 0x2000) == [(0, 0, 0xA00 << 12, 0)]
+    assert evt3_stream(later - counts, 0x2000) == [(0, 0, (0xA00 - counts) << 12, 0)]
+    assert evt3_stream(later, 0x6001, 0x2000) == [(0, 0, (0xA00 << 12) + 1, 0)]
+    assert evt3_stream.statistics.time_wraps == 0
+
+
+def test_evt3_high_time_that_steps_back_over_the_wrap_counts_it_once(evt3_stream):
+    evt3_stream(0x8FFF, 0x6000, 0x0000, 0x8000)
+    assert evt3_stream(0x8FFE, 0x2000) == [(0, 0, 0xFFE << 12, 0)]
+    assert evt3_stream(0x8001, 0x2000) == [(0, 0, (1 << 24) + 0x1000, 0)]
+    assert evt3_stream.statistics.time_wraps == 1
+
+
+def test_evt3_after_a_gap_any_earlier_time_is_a_wrap(evt3_stream):
+    evt3_stream(0x8A00, 0x6000, 0x0000)
+    evt3_stream.decoder.resync()
+    assert evt3_stream(0x8900, 0x6000, 0x0000, 0x2000) == [(0, 0, (1 << 24) + (0x900 << 12), 0)]
+    assert evt3_stream.statistics.time_wraps == 1
+
+
 def test_evt3_vectors_beyond_the_row_stay_outside(evt3_stream):
     decoded = evt3_stream(*TIME, 0x0000, 0x37FF, *([0x4FFF] * 6000))
     assert len(decoded) == 72_000

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 from encoders import assert_equal, synthetic
-from messages import event_array
+from messages import PACKAGES, event_array
 
 from emoflow_ros.core.events import Events
 from msg_adapters import DecodeError, make_decoder, supported_types
 
 
-@pytest.mark.parametrize("package", ["dvs_msgs", "prophesee_event_msgs"])
+@pytest.mark.parametrize("package", PACKAGES)
 @pytest.mark.parametrize("frame_id", ["", "c", "ca", "cam", "came", "camer"])
 def test_events_and_header_come_back(rng, serialization, package, frame_id):
     events = synthetic(rng, 50, start_us=1_700_000_000_000_000)
@@ -127,7 +127,7 @@ def test_unknown_encapsulation_is_named():
 def test_unknown_type_lists_the_known_ones():
     with pytest.raises(DecodeError, match=r"'std_msgs/msg/String'.*dvs_msgs/msg/EventArray"):
         make_decoder("std_msgs/msg/String", "cdr")
-    assert len(supported_types()) == 5
+    assert len(supported_types()) == 7
 
 
 def test_unknown_serialisation_is_named():

@@ -110,6 +110,25 @@ def test_time_units_and_origins(name, code, first, unit, expected):
     np.testing.assert_allclose(t - int(expected), dt, atol=resolution, rtol=0)
 
 
+@pytest.mark.parametrize("start_s", [0.0, 7.25])
+@pytest.mark.parametrize(("scale", "exact"), [(1e-9, 1), (1e-6, 1), (1e-3, 1)])
+def test_decimals_of_dense_messages_tell_their_unit(start_s, scale, exact):
+    """2000 events in 10 ms: as seconds, milliseconds (10 s, were they seconds) and microseconds."""
+    dt = np.arange(2000) * 5000
+    t = (start_s * 1e9 + dt) * scale
+    values = {"x": np.arange(2000) % 99, "y": np.arange(2000) % 9, "p": np.ones(2000), "t": t}
+    fields = [("x", "<u2"), ("y", "<u2"), ("t", "<f8"), ("p", "u1")]
+    expected = dt + round(start_s * S) if start_s else dt + STAMP
+    np.testing.assert_allclose(decode(structured(fields, values)).t, expected, atol=exact, rtol=0)
+
+
+def test_decimals_of_sparse_messages_are_seconds():
+    t = np.arange(5) * 0.4
+    values = {"x": np.arange(5), "y": np.arange(5), "p": np.ones(5), "t": 9.0 + t}
+    fields = [("x", "<u2"), ("y", "<u2"), ("t", "<f8"), ("p", "u1")]
+    assert decode(structured(fields, values)).t.tolist() == np.rint((9.0 + t) * 1e9).tolist()
+
+
 def test_absolute_times_of_a_clock_that_starts_at_zero():
     decoder = make_decoder("sensor_msgs/msg/PointCloud2", "cdr")
     fields = [("x", "<u2"), ("y", "<u2"), ("t", "<f8"), ("p", "u1")]

@@ -91,20 +91,72 @@ def test_jump_back_starts_an_epoch_without_the_unfinished_window(bench: Bench) -
     assert bench.warnings == []
 
 
-def test_small_step_back_leaves_the_message_out(bench: Bench) -> None:
+def test_small_step_back_leaves_the_early_events_out(bench: Bench) -> None:
     bench.push(1000, 1004)
     assert bench.push(1003, 1005) == []
     [task] = bench.push(1012)
-    assert len(task.window.events) == 2
+    assert (task.window.events.t // MS).tolist() == [1000, 1004, 1005]
     assert bench.input.epoch == 0
-    assert bench.statistics.counts["unordered_messages"] == 1
+    assert bench.statistics.counts["events_unordered"] == 1
+    assert bench.warnings == ["1 events out of order are left out"]
 
 
-def test_disorder_within_a_message_leaves_it_out(bench: Bench) -> None:
-    assert bench.push(1000, 5000, 1001) == []
+@pytest.mark.parametrize("wrong_ms", [4, 900, 1002.9, 1500, 1_700_000_000_000])
+def test_single_event_out_of_order_within_a_message_is_left_out(
+    bench: Bench, wrong_ms: float
+) -> None:
+    assert bench.push(1000, 1003, wrong_ms, 1004, 1005) == []
+    [task] = bench.push(1012)
+    assert (task.window.events.t // MS).tolist() == [1000, 1003, 1004, 1005]
     assert bench.input.epoch == 0
-    assert bench.statistics.counts["unordered_messages"] == 1
-    assert "out of order" in bench.warnings[0]
+    assert bench.statistics.counts["events_unordered"] == 1
+    assert bench.statistics.counts["unordered_messages"] == 0
+    assert bench.statistics.counts["events"] == 5
+
+
+@pytest.mark.parametrize("wrong_ms", [4, 20_000, 1_700_000_000_000])
+def test_first_event_of_a_message_out_of_order_is_left_out(bench: Bench, wrong_ms: float) -> None:
+    bench.push(1000, 1003)
+    assert bench.push(wrong_ms, 1004, 1005, stamp_ms=1004) == []
+    [task] = bench.push(1012)
+    assert (task.window.events.t // MS).tolist() == [1000, 1003, 1004, 1005]
+    assert bench.input.epoch == 0
+    assert bench.statistics.counts["events_unordered"] == 1
+
+
+@pytest.mark.parametrize("place", [0, 1, 3])
+@pytest.mark.parametrize("early_ms", [4, 1002.9])
+def test_event_out_of_order_behind_a_wrong_stamp_is_left_out_alone(
+    bench: Bench, place: int, early_ms: float
+) -> None:
+    bench.push(1000, 1003)
+    times: list[float] = [1004, 1005, 1006]
+    times.insert(place, early_ms)
+    bench.push(*times, stamp_ms=500_000)
+    [task] = bench.push(1012)
+    assert (task.window.events.t // MS).tolist() == [1000, 1003, 1004, 1005, 1006]
+    assert bench.input.epoch == 0
+    counts = bench.statistics.counts
+    assert (counts["wrong_stamps"], counts["events_unordered"]) == (1, 1)
+    assert counts["unordered_messages"] == 0
+
+
+def test_whole_message_that_is_far_too_early_starts_an_epoch(bench: Bench) -> None:
+    """Only its events: the stamps go on."""
+    bench.push(5000, 5004)
+    bench.push(1000, 1004, stamp_ms=5008)
+    [task] = bench.push(1012, stamp_ms=5016)
+    assert (task.epoch, len(task.window.events)) == (1, 2)
+    assert bench.input.jump == "event time went back by 4.000 s"
+
+
+def test_time_that_goes_back_for_good_within_a_message_starts_an_epoch(bench: Bench) -> None:
+    """Half of the message is of the old time, and the stamps go on."""
+    bench.push(5000, 5004)
+    bench.push(*range(5005, 5155, 5), *range(1000, 1150, 5), stamp_ms=5005)
+    assert bench.input.epoch == 1
+    assert bench.statistics.counts["time_jumps"] == 1
+    assert bench.input.jump == "event time went back by 4.150 s"
 
 
 @pytest.mark.parametrize("late_ms", [11_000, 1_700_000_000_000])

@@ -211,7 +211,9 @@ def test_change_that_somebody_else_refuses_has_no_effect(make_node: Callable[...
 def test_type_that_holds_no_events_is_refused_at_the_start(
     make_node: Callable[..., Any], ros_type: str
 ) -> None:
-    match = rf"^input\.type: messages of type '{ros_type}' hold no events; use one of dvs_msgs/msg"
+    match = (
+        rf"^input\.type: there is no decoder for messages of type '{ros_type}'; use one of dv_ros"
+    )
     with pytest.raises(InputError, match=match):
         declare(make_node(input__type=ros_type))
 

@@ -16,10 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker
 
+from emoflow_ros.core.calibration import camera_from_info
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.picture_output import PictureOutput, to_camera_info, to_image, to_tracks
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Picture, Result, Task
@@ -94,7 +94,7 @@ def test_images_have_their_calibration_beside_them(
     b.publish({Picture.COLOR: np.zeros((6, 8, 3), np.uint8)}, camera)
     [info], [image] = b.node.messages("flow/camera_info"), b.node.messages("flow/color")
     assert info.header == image.header
-    assert to_camera(info) == camera
+    assert camera_from_info(info, "flow/camera_info", "") == camera
     assert (info.width, info.height) == (image.width, image.height)
     b.publish({Picture.TRACKS: np.zeros((0, 2, 4), np.float32)})
     b.publish({})

@@ -11,9 +11,9 @@ from graph import DVS
 from pipeline_bench import CAMERA, LEFT, MS, PipelineBench
 from sensor_msgs.msg import CameraInfo
 
+from emoflow_ros.core.calibration import camera_from_info
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.event_source import to_camera
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Job, Loss, Progress
 from emoflow_ros.node.topic_search import EventTopic
@@ -49,7 +49,7 @@ def test_bad_calibration_is_the_reason_that_windows_are_dropped(bench: PipelineB
     bench.pipeline.take_camera_info(CameraInfo(width=64, height=48))
     bench.play(1000, 1031)
     [said] = bench.said
-    assert said.startswith("dropped: camera_info: camera: focal lengths")
+    assert said.startswith("dropped: /left/camera_info: K is zero")
 
 
 def test_windows_that_the_worker_has_no_time_for_are_dropped_for_that(bench: PipelineBench) -> None:
@@ -258,10 +258,31 @@ def test_camera_info_becomes_the_camera() -> None:
     info = CameraInfo(width=64, height=48, distortion_model="plumb_bob")
     info.k = [50.0, 0.0, 32.0, 0.0, 51.0, 24.0, 0.0, 0.0, 1.0]
     info.d = [0.1, 0.2, 0.0, 0.0, 0.0]
-    camera = to_camera(info)
+    camera = camera_from_info(info, "/left/camera_info", "camera.calibration_file")
     assert camera == Camera(64, 48, 50.0, 51.0, 32.0, 24.0, "plumb_bob", (0.1, 0.2, 0.0, 0.0, 0.0))
 
 
+def test_a_lens_without_a_name_counts_and_is_said(bench: PipelineBench) -> None:
+    info = CameraInfo(width=64, height=48, d=[0.1, 0.2, 0.0, 0.0, 0.3])
+    info.k = [50.0, 0.0, 32.0, 0.0, 50.0, 24.0, 0.0, 0.0, 1.0]
+    for _ in range(2):
+        bench.pipeline.take_camera_info(info)
+    bench.play(1000, 1011)
+    [job] = bench.supervisor.jobs()
+    assert (job.camera.model, job.camera.distortion) == ("plumb_bob", (0.1, 0.2, 0.0, 0.0, 0.3))
+    said = [line for _, line in bench.node.log if "coefficients" in line]
+    assert said == [
+        "calibration: 64x48, plumb_bob (distortion_model is empty; its 5 coefficients are taken as "
+        "plumb_bob)"
+    ]
+
+
 def test_uncalibrated_camera_info_is_refused() -> None:
-    with pytest.raises(InputError, match="focal lengths"):
-        to_camera(CameraInfo(width=64, height=48))
+    with pytest.raises(InputError) as caught:
+        camera_from_info(
+            CameraInfo(width=64, height=48), "/left/camera_info", "camera.calibration_file"
+        )
+    assert str(caught.value) == (
+        "/left/camera_info: K is zero: it is not calibrated; calibrate the camera, or give "
+        "camera.calibration_file"
+    )

@@ -27,7 +27,8 @@ def result() -> Callable[..., Result]:
     ("count", "reason"),
     [
         ("wrong_size_messages", "messages of another sensor size: give this sensor's calibration"),
-        ("unordered_messages", "messages with event times out of order: check the driver"),
+        ("unordered_messages", "messages in which event time jumps: check the driver"),
+        ("events_unordered", "events out of order: check the driver"),
         ("events_outside", "events outside the calibration's image"),
     ],
 )

@@ -139,8 +139,12 @@ def test_others_are_the_event_topics_besides_the_one_taken() -> None:
     ("topics", "kwargs", "match"),
     [
         ({"/a": DVS, "/b": DVS}, {}, "2 event topics: /a, /b; choose with .* events:=/a"),
-        ({"/imu": "sensor_msgs/msg/Imu"}, {"events": "/imu"}, "hold no events"),
-        ({}, {"wanted_type": "odd_msgs/msg/Odd"}, "hold no events"),
+        (
+            {"/imu": "sensor_msgs/msg/Imu"},
+            {"events": "/imu"},
+            "there is no decoder for messages of type",
+        ),
+        ({}, {"wanted_type": "odd_msgs/msg/Odd"}, "there is no decoder for messages of type"),
     ],
 )
 def test_what_cannot_be_decided_is_asked(
@@ -154,7 +158,7 @@ def test_what_cannot_be_decided_is_asked(
     ("package", "fix"),
     [
         ("dvs_msgs", "build dvs_msgs in your workspace, source"),
-        ("odd_msgs", "install ros-jazzy-odd-msgs or build odd_msgs in your workspace, source"),
+        ("odd_msgs", "install ros-jazzy-odd-msgs, if there is one, or build odd_msgs in your"),
     ],
 )
 def test_type_that_is_not_installed_is_named(
@@ -163,6 +167,32 @@ def test_type_that_is_not_installed_is_named(
     monkeypatch.setitem(sys.modules, f"{package}.msg", None)
     with pytest.raises(InputError, match=f"the message package {package} is not .*; {fix}"):
         import_message_type(f"{package}/msg/Odd")
+
+
+@pytest.mark.parametrize(
+    ("ros_type", "line"),
+    [
+        (
+            "rosgraph_msgs/msg/Log",
+            "the message package rosgraph_msgs is installed, but has no message Log; ROS 2 has "
+            "rcl_interfaces/msg/Log instead",
+        ),
+        (
+            "tf/msg/tfMessage",
+            "the message package tf is not installed; it is of ROS 1 only; ROS 2 has "
+            "tf2_msgs/msg/TFMessage instead",
+        ),
+        (
+            "sensor_msgs/msg/Odd",
+            "the message package sensor_msgs is installed, but has no message Odd; install the "
+            "sensor_msgs that has it",
+        ),
+    ],
+)
+def test_types_that_ros2_has_under_another_name(ros_type: str, line: str) -> None:
+    with pytest.raises(InputError) as error:
+        import_message_type(ros_type)
+    assert str(error.value) == f"{ros_type}: {line}"
 
 
 def test_installed_type_is_imported() -> None:

@@ -27,6 +27,7 @@ import psutil
 TESTS = Path(__file__).parents[1]
 sys.path[:0] = [str(TESTS.parent), str(TESTS / "recordings"), str(TESTS / "msg_adapters")]
 
+from column_files import ARRAY_WRITERS  # noqa: E402
 from encoders import ENCODERS, payload  # noqa: E402
 from event_bags import make_events, write_event_bag  # noqa: E402
 
@@ -45,6 +46,20 @@ camera_name: davis
 camera_matrix: {rows: 3, cols: 3, data: [20.0, 0, 16, 0, 20, 12, 0, 0, 1]}
 distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 4, data: [-0.05, 0.01, -0.06, 0.02]}
+"""
+KALIBR = """cam0:
+  camera_model: pinhole
+  intrinsics: [20.0, 20, 16, 12]
+  resolution: [32, 24]
+  distortion_model: radtan
+  distortion_coeffs: [-0.05, 0.01, -0.06, 0.02]
+"""
+OPENCV = """%YAML:1.0
+---
+image_width: 32
+image_height: 24
+camera_matrix: !!opencv-matrix {rows: 3, cols: 3, dt: d, data: [20., 0, 16, 0, 20, 12, 0, 0, 1]}
+distortion_coefficients: !!opencv-matrix {rows: 5, cols: 1, dt: d, data: [0.1, 0, 0, 0, 0]}
 """
 MEMORY = 1 << 30  # bytes more than before the first damaged file
 PATIENCE_S = 20
@@ -199,6 +214,15 @@ def _columns_file(folder: Path) -> Path:
     return folder / "columns.h5"
 
 
+def _array(kind: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        events = make_events(300)
+        (folder / kind).mkdir()
+        return ARRAY_WRITERS[kind](folder / kind, events, events.t // 1000)
+
+    return make
+
+
 def _mvsec(folder: Path) -> Path:
     events = make_events(300)
     with h5py.File(folder / "a_data.hdf5", "w") as file:
@@ -241,9 +265,15 @@ FORMATS: dict[str, tuple[Callable[[Path], Path], Read]] = {
     "dsec": (_dsec, read_recording),
     "mvsec": (_mvsec, read_recording),
     "hdf5": (_columns_file, read_recording),
+    "npy": (_array("npy"), read_recording),
+    "fields": (_array("fields"), read_recording),
+    "table": (_array("table"), read_recording),
+    "compound": (_array("compound"), read_recording),
     "ecd": (_ecd, read_recording),
     "calib_txt": (_text("calib.txt", CALIB), read_calibration),
     "calib_yaml": (_text("calib.yaml", YAML), read_calibration),
+    "calib_kalibr": (_text("kalibr.yaml", KALIBR), read_calibration),
+    "calib_opencv": (_text("opencv.yaml", OPENCV), read_calibration),
     "motion_txt": (_text("motion.txt", "0.1 0.2 0.3\n"), read_truth),
     "imu_txt": (_text("imu.txt", _table(7)), read_truth),
     "groundtruth_txt": (_text("groundtruth.txt", _table(8)), read_truth),

@@ -11,7 +11,6 @@ from event_bags import assert_equal
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
-from emoflow_ros.readers.hdf5_columns import Clues, unit_ns
 
 N = 5000
 STEP_US = 37
@@ -149,55 +148,18 @@ def test_what_cannot_be_read(tmp_path, events):
         read_all(path)
     with h5py.File(tmp_path / "d.h5", "w") as file:
         file["x"] = file["y"] = np.zeros(3)
-    with pytest.raises(InputError, match="not a recording of a known format"):
+    with pytest.raises(InputError, match=r"without columns of events; it holds x \(3,\), y \(3,\)"):
         read_all(tmp_path / "d.h5")
 
 
-S, MS, US, NS = 10**9, 10**6, 10**3, 1
-RATE = 100_000  # events/s
-TIMES = np.arange(3000) / RATE + 0.25  # s
-
-
-@pytest.mark.parametrize(
-    ("unit", "t", "more"),
-    [
-        (S, TIMES, {}),
-        (S, TIMES + 1.7e9, {}),
-        (US, TIMES * 1e6, {}),
-        (US, np.rint(TIMES * 1e6 + 1).astype(np.uint32), {}),
-        (US, np.rint(TIMES * 1e6).astype(np.int64) + 1_700_000_000_000_000, {}),
-        (US, TIMES * 1e6 + 1.7e15, {}),
-        (NS, np.rint(TIMES * 1e9).astype(np.int64) + 1_700_000_000_000_000_000, {}),
-        (NS, TIMES * 1e9 + 1.7e18, {}),
-        (NS, np.rint(TIMES * 1e6).astype(np.int64) * 1000, {}),
-        (NS, np.rint(np.linspace(0, 5e9 + 7, 3000)).astype(np.int64), {}),
-        # Decided by the index of milliseconds, from the first event on and from zero on.
-        (NS, np.rint(TIMES * 1e9).astype(np.int64) + 7, {"milliseconds": 30}),
-        (US, np.rint(TIMES * 1e6).astype(np.int64) // 1000 * 1000, {"milliseconds": 280}),
-        (US, np.rint(TIMES[:30] * 1e6).astype(np.int64) + 10**15, {"milliseconds": 2}),
-        (S, TIMES / 100, {"milliseconds": 1}),
-        # A simulator's milliseconds, in microseconds: 4e7 events per second as nanoseconds.
-        (US, np.repeat(np.arange(30) * 1000, 40), {}),
-        # Those of 1000 events per second, and more than an hour: 32 bits hold no nanoseconds.
-        (US, (np.arange(3000) * 1000).astype(np.uint32), {}),
-        (US, np.linspace(0, 4e9, 5_000_000)[::1000].astype(np.uint32), {"count": 5_000_000}),
-        # Declared, against what else would count.
-        (MS, TIMES * 1e3, {"attributes": {"unit": "ms"}}),
-        (NS, TIMES, {"attributes": {"units": b"Nanoseconds"}}),
-    ],
-)
-def test_unit_of_time(unit, t, more):
-    count, index = more.get("count", len(t)), more.get("milliseconds", 0)
-    clues = Clues(Path("a.h5"), more.get("attributes", {}), t, count, index)
-    assert unit_ns(clues) == unit
-
-
-def test_unit_that_nothing_decides():
-    """300 events in 2e9 ticks, no thousands: half an hour, or 2 s."""
-    t = np.sort(np.random.default_rng(0).integers(0, 2 * 10**9, 300))
-    with pytest.raises(InputError) as error:
-        unit_ns(Clues(Path("a.h5"), {}, t, 300))
-    assert str(error.value).startswith("a.h5: the unit of t cannot be told: 300 events over ")
-    assert "attribute 'unit': s, us or ns" in str(error.value)
-    with pytest.raises(InputError, match="unknown unit 'ticks'"):
-        unit_ns(Clues(Path("a.h5"), {"unit": "ticks"}, t, 300))
+def test_names_that_are_no_text_are_passed_over(tmp_path, events):
+    path = write(tmp_path / "a.h5", events, "events", events.t // 1000)
+    with h5py.File(path, "a") as file:
+        file.create_group(b"ev\xffnts")
+        for name in ("x", "y", "t", "p"):
+            file[b"ev\xffnts/" + name.encode()] = file[f"events/{name}"][:]
+    assert_equal(read_all(path), events)
+    damaged = tmp_path / "b.h5"
+    damaged.write_bytes(path.read_bytes().replace(b"events\0", b"\xffvents\0"))
+    with pytest.raises(InputError, match=r"b\.h5: "):
+        read_all(damaged)

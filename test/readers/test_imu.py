@@ -9,14 +9,15 @@ import h5py
 import numpy as np
 import pytest
 from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from emoflow_ros.commands.info import inspect, main
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
-from emoflow_ros.readers.bag import IMU_TYPE, choose_imu, read_imu
 from emoflow_ros.readers.bag_files import open_bag, read_messages
+from emoflow_ros.readers.bag_imu import IMU_TYPE, choose_imu, read_imu
 from emoflow_ros.readers.reader_base import Imu
 
 AEDAT4 = Path(__file__).parents[1] / "recordings" / "events.aedat4"
@@ -72,7 +73,7 @@ def assert_same(read: Imu, expected: Imu) -> None:
 
 def read_messages_of(path: Path) -> Imu:
     with open_bag(path) as bag:
-        return read_imu(path, read_messages(path, bag, bag.connections), ros2=bag.is2)
+        return read_imu(path, read_messages(path, bag, bag.connections))
 
 
 @pytest.mark.parametrize("frame", ["", "i", "im", "imu", "imu4_", "a_long_frame_id"])
@@ -88,15 +89,15 @@ def test_messages_of_bags_whatever_the_frames_length(tmp_path, name, frame):
 def test_big_endian_message():
     body = struct.pack(">iII", 3, 4, 4) + b"imu\0"
     body += struct.pack(">37d", *range(37))
-    connection = SimpleNamespace(topic="/imu")
-    imu = read_imu(Path("a"), [(connection, 0, b"\0\0\0\0" + body)], ros2=True)
+    connection = SimpleNamespace(topic="/imu", ext=ConnectionExtRosbag2("cdr", []))
+    imu = read_imu(Path("a"), [(connection, 0, b"\0\0\0\0" + body)])
     assert imu.t.tolist() == [3 * NS_PER_S + 4]
     assert imu.angular.tolist() == [[13, 14, 15]]
     assert imu.acceleration.tolist() == [[25, 26, 27]]
     assert np.isnan(imu.rate)
     for data in (b"", b"\0\1\0\0", b"\0\0\0\0" + body[:-1]):
         with pytest.raises(InputError, match="a: damaged message on /imu"):
-            read_imu(Path("a"), [(connection, 0, data)], ros2=True)
+            read_imu(Path("a"), [(connection, 0, data)])
 
 
 def test_what_an_imu_does_not_measure(tmp_path):

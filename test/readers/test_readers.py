@@ -47,7 +47,6 @@ def test_bag_gives_back_events_and_camera(tmp_path, storage, make_events, write_
         assert (recording.camera.width, recording.camera.height) == (32, 24)
         assert (recording.camera.fx, recording.camera.model) == (20.0, "plumb_bob")
         chunks = list(recording.event_chunks())
-    assert [len(c) for c in chunks] == [40, 60]
     for name in ("x", "y", "t", "p"):
         read = np.concatenate([getattr(c, name) for c in chunks])
         np.testing.assert_array_equal(read, getattr(written, name))
@@ -94,8 +93,10 @@ def test_unknown_format(tmp_path):
     assert_refused(path, "known format", "ECD folder")
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])  # of one chunk: nothing is whole
-@pytest.mark.parametrize("storage", ["ros1", "sqlite3", "mcap"])
+@pytest.mark.parametrize(  # of one chunk: nothing is whole; that of ROS 1 has messages from 0.1 on
+    ("storage", "share"),
+    [("ros1", 0.02), *((s, share) for s in ("sqlite3", "mcap") for share in (0.02, 0.3, 0.6, 0.9))],
+)
 def test_truncated_bag(tmp_path, storage, share, make_events, write_event_bag):
     path = write_event_bag(
         tmp_path / ("a.bag" if storage == "ros1" else "a"),
@@ -118,7 +119,9 @@ def test_database_without_tables(tmp_path):
 
 def test_bag_without_an_event_topic_lists_what_is_there(tmp_path, write_event_bag):
     path = write_event_bag(tmp_path / "a.bag", [], topics=())
-    assert_refused(path, "no event topic", "/cam/camera_info (sensor_msgs/msg/CameraInfo)")
+    assert_refused(
+        path, "no topic of a known event type", "/cam/camera_info (sensor_msgs/msg/CameraInfo)"
+    )
 
 
 def test_two_event_topics_ask_for_one(tmp_path, make_events, write_event_bag):
@@ -157,7 +160,9 @@ def test_bag_with_messages_but_no_events(tmp_path, make_events, write_event_bag)
 def test_bag_with_unsorted_times(tmp_path, make_events, write_event_bag):
     batches = [make_events(10, start_s=2.0), make_events(10, start_s=1.5)]
     path = write_event_bag(tmp_path / "a.bag", batches)
-    assert_refused(path, "not sorted (1.500000 s follows 2.009000 s)")
+    assert_refused(
+        path, "not sorted (1.500000 s follows 2.009000 s, and 10 of 20 events are earlier"
+    )
 
 
 def test_bag_with_events_outside_the_sensor(tmp_path, make_events, write_event_bag):
@@ -195,11 +200,14 @@ def test_ecd_is_read_in_chunks_without_loss(tmp_path, monkeypatch):
         ([], "no events"),
         (["0.1 1 2 1", "0.2 240 2 1"], "1 of 2 events lie outside the 240x180 sensor"),
         (["0.1 1 2 1", "0.2 -1 2 1"], "1 of 2 events lie outside"),
-        (["0.2 1 2 1", "0.1 1 2 1"], "not sorted (0.100000 s follows 0.200000 s)"),
+        (
+            ["0.2 1 2 1", "0.1 1 2 1"],
+            "not sorted (0.100000 s follows 0.200000 s, and 1 of 2 events",
+        ),
         (["0.1 1 2 1", "0.2 1 2"], "lines of 3 numbers"),
         (["0.1 1 2 1", "0.2 1 2", "0.3 1 2 1"], "not a table of numbers"),
         (["0.1 1 2 1", "nan 1 2 1"], "not finite"),
-        (["t x y p", "0.1 1 2 1"], "not a table of numbers"),
+        (["a b c d", "0.1 1 2 1"], "not a table of numbers"),
     ],
 )
 def test_ecd_bad_events(tmp_path, lines, words):

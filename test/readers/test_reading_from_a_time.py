@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.events import Events
-from emoflow_ros.readers import bag as bag_reader
-from emoflow_ros.readers import mvsec, open_recording
+from emoflow_ros.readers import bag_events, mvsec, open_recording
 
 START_NS, STEP_NS, COUNT = 1_000_000_000, 1_000_000, 20_000  # 20 s at 1 kHz
 
@@ -40,7 +39,8 @@ def write_npz(path, events):
 def write_ecd(path, events):
     path.mkdir()
     columns = zip((events.t / 1e9).tolist(), events.x, events.y, events.p, strict=True)
-    (path / "events.txt").write_text("".join(f"{t:.6f} {x} {y} {p:d}\n" for t, x, y, p in columns))
+    rows = (f"{t:09.6f} {x:02d} {y:02d} {p:d}\n" for t, x, y, p in columns)  # of one length
+    (path / "events.txt").write_text("".join(rows))
     return path
 
 
@@ -65,11 +65,33 @@ def test_files(tmp_path, events, write, name, first):
                 np.testing.assert_array_equal(getattr(found, column), expected)
 
 
+@pytest.mark.parametrize(
+    ("write", "name"), [(write_mvsec, "a.hdf5"), (write_dsec, "events.h5"), (write_ecd, "ecd")]
+)
+@pytest.mark.parametrize("middle", [1, 2, 3])
+@pytest.mark.parametrize("shift_s", [-9, 9])
+def test_events_out_of_order_do_not_lead_past_what_is_sought(
+    tmp_path, events, write, name, middle, shift_s
+):
+    """The first looks of the bisection, at a quarter, half and three quarters, meet such events."""
+    wrong = slice(COUNT * middle // 4 - 40, COUNT * middle // 4 + 40)  # 80 ms
+    events.t[wrong] += shift_s * 1_000_000_000
+    path = write(tmp_path / name, events)
+    with open_recording(path) as recording:
+        whole = Events.concatenate(list(recording.event_chunks()))
+        assert COUNT - 80 <= len(whole) < COUNT
+        for first in range(500, COUNT, 1000):
+            since = START_NS + first * STEP_NS
+            found = Events.concatenate(list(recording.event_chunks(since)))
+            np.testing.assert_array_equal(found.t, whole.t[np.searchsorted(whole.t, since) :])
+
+
 def test_rows_before_are_not_read(tmp_path, events, monkeypatch):
     monkeypatch.setattr(mvsec, "CHUNK", 100)
     with open_recording(write_mvsec(tmp_path / "a.hdf5", events)) as recording:
-        first = next(recording.event_chunks(START_NS + 15_000 * STEP_NS))
-    assert len(first) == 99  # of the 100 rows from the last one before on
+        chunks = recording.event_chunks(START_NS + 15_000 * STEP_NS)
+        first = next(events for events in chunks if len(events))
+    assert len(first) < 300  # of the rows from the last one before on, 100 at a time
     assert first.t[0] == START_NS + 15_000 * STEP_NS
 
 
@@ -77,7 +99,7 @@ def test_rows_before_are_not_read(tmp_path, events, monkeypatch):
 def decoded(monkeypatch):
     """Count the messages that were decoded."""
     count = []
-    make = bag_reader.make_decoder
+    make = bag_events.make_decoder
 
     def counting(*arguments):
         decoder = make(*arguments)
@@ -89,7 +111,7 @@ def decoded(monkeypatch):
 
         return Counting()
 
-    monkeypatch.setattr(bag_reader, "make_decoder", counting)
+    monkeypatch.setattr(bag_events, "make_decoder", counting)
     return count
 
 

@@ -73,7 +73,7 @@ def unfinished(bag: Path, length: int) -> Path:
         for name, size in ((b"index_pos=", 8), (b"conn_count=", 4), (b"chunk_count=", 4)):
             at = data.index(name) + len(name)
             data = data[:at] + bytes(size) + data[at + size :]
-    path = bag.with_name(f"cut{bag.suffix}")
+    path = bag.with_name(f"cut_{length}{bag.suffix}")  # each is said once
     path.write_bytes(data)
     return path
 
@@ -158,3 +158,31 @@ def test_walk_over_any_bytes_ends(bag, capsys):
         path = bag.with_name(f"bad{bag.suffix}")
         path.write_bytes(data)
         assert "\n" not in refusal(path)
+
+
+def test_chunk_that_was_being_written_is_read_as_far_as_it_is_whole(
+    tmp_path, batches, write_event_bag
+):
+    """The recorder fills in a chunk's length when it is full; here all is in the first one."""
+    bag = write_event_bag(tmp_path / "a.bag", batches)
+    data = bag.read_bytes()
+    at = data.index(b"size=") + len(b"size=")
+    while data[at - 60 : at].find(b"compression=none") < 0:
+        at = data.index(b"size=", at) + len(b"size=")
+    length = int.from_bytes(data[at : at + 4], "little")
+    (length_at,) = (k for k in range(at + 4, at + 60) if data[k : k + 4] == data[at : at + 4])
+    seen = set()
+    for share in (0.2, 0.35, 0.6, 1.0):
+        cut = length_at + 4 + int(length * share)
+        for known in (True, False):
+            part = bytearray(data[:cut])
+            if not known:
+                part[at : at + 4] = part[length_at : length_at + 4] = bytes(4)
+            bag.write_bytes(part)
+            path = unfinished(bag, cut)
+            events = read(path)
+            written = Events.concatenate(batches)
+            np.testing.assert_array_equal(events.t, written.t[: len(events)])
+            seen.add(len(events))
+    assert len(seen) == 4
+    assert max(seen) == EVENTS * BATCHES

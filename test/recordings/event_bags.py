@@ -10,6 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from emoflow_ros.core.events import NS_PER_S, Events
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
+INFO = ("plumb_bob", (0.01, 0, 0, 0, 0.0), (20.0, 0, 16, 0, 20, 12, 0, 0, 1))
 _DEFINITIONS = {
     "dvs_msgs/msg/Event": "uint16 x\nuint16 y\nbuiltin_interfaces/Time ts\nbool polarity\n",
     EVENT_ARRAY: "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
@@ -43,7 +44,7 @@ def typestore(ros1: bool):
     return types
 
 
-def _event_array_bytes(events: Events, width: int, height: int, ros1: bool) -> bytes:
+def event_array_bytes(events: Events, width: int, height: int, ros1: bool) -> bytes:
     """Serialise with `struct`, field by field, as the formats are specified."""
     if ros1:
         head = struct.pack("<IIII", 0, 1, 2, 3) + b"cam"
@@ -75,8 +76,12 @@ def write_event_bag(
     with_info: bool = True,
     storage: str = "ros1",
     log_times: list[int] | None = None,
+    infos: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = (INFO,),
 ) -> Path:
-    """Write a bag: `storage` is ros1, sqlite3 or mcap, `log_times` are in ns."""
+    """Write a bag: `storage` is ros1, sqlite3 or mcap, `log_times` are in ns.
+
+    `infos` are the model, D and K of each camera_info.
+    """
     ros1 = storage == "ros1"
     types = typestore(ros1)
     if ros1:
@@ -88,34 +93,34 @@ def write_event_bag(
         for topic in topics:
             connection = writer.add_connection(topic, EVENT_ARRAY, typestore=types)
             for i, events in enumerate(batches):
-                data = _event_array_bytes(events, *size, ros1)
+                data = event_array_bytes(events, *size, ros1)
                 writer.write(connection, log_times[i] if log_times else NS_PER_S + i, data)
         if with_info:
-            _write_info(writer, types, topics[0] if topics else "/cam/events", size, ros1)
+            _write_infos(writer, types, topics[0] if topics else "/cam/events", size, ros1, infos)
     return path
 
 
-def _write_info(writer, types, topic, size, ros1):
+def _write_infos(writer, types, topic, size, ros1, infos):
     name = "sensor_msgs/msg/CameraInfo"
     info, roi = types.types[name], types.types["sensor_msgs/msg/RegionOfInterest"]
     header, time = types.types["std_msgs/msg/Header"], types.types["builtin_interfaces/msg/Time"]
     stamp = time(1, 0)
-    k = np.array([20.0, 0, 16, 0, 20, 12, 0, 0, 1])
-    message = info(
-        header(0, stamp, "cam") if ros1 else header(stamp, "cam"),
-        size[1],
-        size[0],
-        "plumb_bob",
-        np.array([0.01, 0, 0, 0, 0.0]),
-        k,
-        np.eye(3).ravel(),
-        np.zeros(12),
-        0,
-        0,
-        roi(0, 0, 0, 0, False),
-    )
     connection = writer.add_connection(
         topic.rpartition("/")[0] + "/camera_info", name, typestore=types
     )
-    data = types.serialize_ros1(message, name) if ros1 else types.serialize_cdr(message, name)
-    writer.write(connection, NS_PER_S, data)
+    for i, (model, d, k) in enumerate(infos):
+        message = info(
+            header(0, stamp, "cam") if ros1 else header(stamp, "cam"),
+            size[1],
+            size[0],
+            model,
+            np.array(d, float),
+            np.array(k, float),
+            np.eye(3).ravel(),
+            np.zeros(12),
+            0,
+            0,
+            roi(0, 0, 0, 0, False),
+        )
+        data = types.serialize_ros1(message, name) if ros1 else types.serialize_cdr(message, name)
+        writer.write(connection, NS_PER_S + i, data)

@@ -72,7 +72,7 @@ class TestOdometry:
         [
             ({"lin_vel": np.zeros((3, 3))}, "differ in length"),
             ({"ang_vel": np.zeros((4, 2))}, "differ in length"),
-            ({"timestamps": np.array([1.0, 2, 2, 3])}, "not increasing"),
+            ({"timestamps": np.array([1.0, 3, 2, 4])}, "not increasing"),
         ],
     )
     def test_bad_files(self, tmp_path, columns, words):
