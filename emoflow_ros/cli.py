@@ -18,7 +18,8 @@ EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141  # as a shell reports SIGPIPE
 
-_ENOUGH = 2 * 2**30  # bytes of address space
+# Bytes of address space: what is enough for all, and what nothing works with.
+_ENOUGH, _LEAST = 2 * 2**30, 512 * 2**20
 
 # ros2 launch passes on a Ctrl-C that the terminal has sent to everybody already.
 _SAME_CTRL_C_S = 1.0
@@ -33,6 +34,9 @@ def run(command: Callable[[], int | None]) -> int:
         `| head`, 2 for want of memory, too. Anything else is a bug and keeps its traceback.
     """
     no_memory = _want_of_memory()
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < _LEAST:  # below 0: none
+        os.write(2, no_memory)  # libraries may try again for ever instead of failing
+        return EXIT_BAD_INPUT
     try:
         _take_ctrl_c_once()
         return _run_and_flush(command)

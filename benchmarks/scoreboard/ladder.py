@@ -4,7 +4,8 @@ The rung that loses most is the one to work on. Rungs: `tracks`, how far patches
 should be, across their edges, with the true flow; `lines`, the angular velocity that places 80 ms
 apart give with the true direction of travel; `truth`, the adjustment from the true flow and
 motion, without the lattice's motion as evidence; `starts`, from the true flow and its own starts;
-`own`, as it runs; `lattice`, the estimate without a memory. Writes ladder.json into --out.
+`own`, as it runs but with all events; `lattice`, the estimate without a memory. Writes ladder.json
+into --out.
 """
 
 import argparse
@@ -20,7 +21,6 @@ from tqdm import tqdm
 from benchmarks.scoreboard.simulated_subjects import random_subjects
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros.cli import run
-from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
@@ -125,8 +125,8 @@ def _places(
     errors: Errors, state: State, reader: RememberingEstimator, material: Material, window: Window
 ) -> None:
     """Compare the newest places with where the true flow carries the patches from 80 ms ago."""
-    flows, adjusted = material.truth.flows, state.adjusted
-    if flows is None or not isinstance(adjusted, Adjusted):
+    flows = material.truth.flows
+    if flows is None or state.adjusted is None:
         return
     before = int(np.abs(state.t - (state.t[-1] - _LAG_NS)).argmin())
     if before == len(state.t) - 1:

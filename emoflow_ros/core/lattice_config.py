@@ -3,11 +3,16 @@
 from dataclasses import dataclass
 
 from emoflow_ros.core.options import option
+from emoflow_ros.errors import InputError
 
 
 @dataclass(frozen=True)
 class LatticeConfig:
-    """How the lattice estimator fits a window; docs/method.md explains each option."""
+    """How the lattice estimator fits a window; docs/method.md explains each option.
+
+    Raises:
+        InputError: a memory of positions with a fixed motion model.
+    """
 
     max_events: int = option(
         30_000, "events used per window, spread evenly over it", minimum=1000, maximum=10_000_000
@@ -99,11 +104,11 @@ class LatticeConfig:
     memory: bool = option(
         False,
         "adjust the motion to patches of edges that are found again over half a second "
-        "(core.odometry): more accurate where there is texture, and never silent",
+        "(core.odometry); needs estimator.model auto",
     )
     tracked_events: int = option(
         120_000,
-        "events per window that the memory uses, spread evenly over it",
+        "the same as max_events for the memory",
         minimum=1000,
         maximum=10_000_000,
     )
@@ -114,3 +119,9 @@ class LatticeConfig:
         minimum=0.0,
         maximum=1.0,
     )
+
+    def __post_init__(self) -> None:
+        if self.memory and self.model != "auto":
+            raise InputError(
+                "estimator.memory", f"does not go with estimator.model {self.model}", "use auto"
+            )

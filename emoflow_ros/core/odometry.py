@@ -17,7 +17,7 @@ from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import MotionAt, carried_on, first_node, latest, motion_at
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, draw
@@ -102,6 +102,8 @@ class Odometry:
         """
         if state.x is None:
             return self._begin(state, events, hint)
+        if events.t - state.t[-1] < NS_PER_MS:  # a window again, or one of an earlier time
+            return state
         seconds = (events.t - state.t[-1]) / NS_PER_S
         ahead = self._carried_on(state, hint, seconds)
         picture, own = self._draw(ahead, events, hint)
@@ -143,9 +145,8 @@ class Odometry:
         x, patches = state.x, state.patches
         assert x is not None
         depths = depths_now(patches, x, self.back.depths)
-        flow = rigid_flow(
-            self.grid, patches.place, depths, patches.alive, x.angular[-1], x.velocity[-1]
-        )
+        place = expected_places(self.camera, patches, x)
+        flow = rigid_flow(self.grid, place, depths, patches.alive, x.angular[-1], x.velocity[-1])
         by_scene = draw(events, flow, self.camera.size)
         if by_scene.sharpness > self.front.own_sharpness * by_lattice.sharpness:
             return by_scene, True
@@ -190,12 +191,14 @@ class Odometry:
             return self.start()
         costs = state.costs
         turned = rotating(problem, found, known, back)
-        if turned is not None and turned[1] < 0:  # travel includes it: the search went astray
-            found = best(problem, turned[0].x, known, [found.x], back, full=False) or found
+        if turned is not None and turned.cost < found.cost:
+            # Travel includes it: the search went astray.
+            found = best(problem, turned.x, known, [found.x], back, full=False) or found
         if turned is not None:
-            costs = (*costs, turned[1])[-back.rotation_slices :]
+            saved = (turned.cost - found.cost) / len(some)
+            costs = (*costs, saved)[-back.rotation_slices :]
             if np.mean(costs) < back.rotation_cost:
-                found = turned[0]
+                found = turned
         found = _unit_depth(found)
         try:
             walks = state.walks.learnt(found, known.seconds, back)
@@ -225,4 +228,6 @@ def _unit_depth(adjusted: Adjusted) -> Adjusted:
         velocity=scale * x.velocity,
         inverse_depth=x.inverse_depth / scale,
     )
-    return replace(adjusted, x=x)
+    by_kind = np.repeat([1.0, 1 / scale, 1.0, 1 / scale], 3)  # in the order of a node's unknowns
+    factor = np.tile(by_kind, len(x.position))[adjusted.free]
+    return replace(adjusted, x=x, matrix=factor[:, None] * adjusted.matrix * factor)

@@ -137,7 +137,8 @@ class RememberingEstimator:
         angular, linear, model = motion.angular, np.zeros(3), MotionModel.ROTATION
         apart = found.angular - angular
         covariance[3:, 3:] += back.disagreement * np.outer(apart, apart)
-        if found.gyro.state is GyroState.USED:
+        by_gyro = found.gyro.state is GyroState.USED
+        if by_gyro:
             angular = found.angular
             covariance[3:, 3:] = found.covariance[3:, 3:]
             covariance[:3, 3:] = covariance[3:, :3] = 0.0
@@ -158,5 +159,7 @@ class RememberingEstimator:
             linear=linear,
             angular=angular,
             covariance=covariance,
-            motion=AdjustedMotion(state.t, adjusted, model is MotionModel.FULL),
+            motion=AdjustedMotion(
+                state.t, adjusted.x, model is MotionModel.FULL, found.motion if by_gyro else None
+            ),
         )

@@ -9,6 +9,7 @@ from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, Events, Window, WindowSlicer
 from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 CONFIG = load_config("memory")
@@ -77,10 +78,20 @@ def test_every_window_has_an_estimate_with_a_covariance_that_holds(calm: Run):
 
 
 def test_motion_is_continuous_over_the_window(calm: Run):
-    last = calm.estimates[-1]
-    assert last.motion is not None
-    assert last.motion.angular(last.t) == pytest.approx(last.angular, abs=1e-9)
-    assert last.motion.linear(last.t) == pytest.approx(last.linear, abs=1e-9)
+    motion = calm.estimates[-1].motion
+    assert motion is not None
+    for node in motion.times[1:-1].tolist():  # type: ignore[attr-defined]
+        for read in (motion.angular, motion.linear):
+            assert read(node - 1000) == pytest.approx(read(node + 1000), abs=1e-3)
+
+
+def test_a_window_that_comes_again_changes_nothing(calm: Run):
+    estimator = make_estimator(calm.recording.camera, CONFIG)
+    once = [estimator.estimate(window) for window in calm.windows[:4]]
+    again = estimator.estimate(calm.windows[3])
+    assert again.angular == pytest.approx(once[3].angular, abs=0.02)
+    after = estimator.estimate(calm.windows[4])
+    assert calm.error(after) < 3.0
 
 
 def test_a_rotation_has_no_direction_of_travel():
@@ -118,6 +129,11 @@ def test_after_a_gap_the_memory_begins_anew(calm: Run):
     assert np.median(errors) < 2.0
 
 
+def test_a_fixed_motion_model_is_refused():
+    with pytest.raises(InputError, match=r"does not go with estimator\.model rotation"):
+        load_config("memory", {"estimator.model": "rotation"})
+
+
 def noise(count: int, t0: int, t1: int, size: tuple[int, int]) -> Events:
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(t0, t1, count))
@@ -151,7 +167,6 @@ def test_a_bad_time_ends_in_no_exception_and_is_over_soon_after(calm: Run, bad: 
     disturbed = Events.concatenate([events[events.t < begin], instead, events[events.t >= end]])
     estimates = estimates_of(calm.recording, windows_of(disturbed))
     for e in estimates:
-        assert e.status in set(Status)
         if e.status is Status.OK:
             assert np.isfinite(e.angular).all()
             assert np.isfinite(e.covariance).all()

@@ -87,19 +87,14 @@ def starts(
 
 def rotating(
     problem: Observations, travelling: Adjusted, prior: Prior, settings: BackEndSettings
-) -> tuple[Adjusted, float] | None:
-    """Adjust a camera that only rotates; return what a patch costs more than in travel.
-
-    None if that diverges.
-    """
-    try:
-        made = adjust(
+) -> Adjusted | None:
+    """Adjust a camera that only rotates, from one that travels; None if that diverges."""
+    with suppress(np.linalg.LinAlgError):
+        return adjust(
             problem, travelling.x, prior, settings.outlier, settings.rotation_steps,
             settings.depths, travels=False,
         )  # fmt: skip
-    except np.linalg.LinAlgError:
-        return None
-    return made, (made.cost - travelling.cost) / max(1, len(problem.anchor))
+    return None
 
 
 def _sphere(count: int) -> Iterator[Array]:

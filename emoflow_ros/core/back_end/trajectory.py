@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, turned
+from emoflow_ros.core.estimate import Motion
 from emoflow_ros.core.events import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -106,7 +107,8 @@ def interpolated(
     node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
     share = float((t - times[node]) / (times[node + 1] - times[node]))
     angular = (1 - share) * x.angular[node] + share * x.angular[node + 1]
-    rotation = turned(x.rotation[node], angular * ((t - times[node]) / NS_PER_S))
+    mean = 0.5 * (x.angular[node] + angular)
+    rotation = turned(x.rotation[node], mean * ((t - times[node]) / NS_PER_S))
     velocity = (1 - share) * x.velocity[node] + share * x.velocity[node + 1]
     return angular, rotation.T @ velocity, (node, share, rotation)
 
@@ -117,20 +119,24 @@ class AdjustedMotion:
 
     Attributes:
         times: (K,) ns.
-        adjusted: the way.
+        x: the way.
         travels: whether the direction of travel is known.
+        turning: whose angular velocity counts instead, as a gyro's.
     """
 
     times: Times
-    adjusted: Adjusted
+    x: Unknowns
     travels: bool
+    turning: Motion | None = None
 
     def angular(self, t: int) -> Array:
         """Angular velocity at time t (ns), (3,) rad/s."""
-        return interpolated(self.times, self.adjusted.x, t)[0]
+        if self.turning is not None:
+            return self.turning.angular(t)
+        return interpolated(self.times, self.x, t)[0]
 
     def linear(self, t: int) -> Array:
         """Direction of the linear velocity at time t (ns), (3,) unit, or zeros."""
-        linear = interpolated(self.times, self.adjusted.x, t)[1]
+        linear = interpolated(self.times, self.x, t)[1]
         norm = float(np.linalg.norm(linear))
         return linear / norm if self.travels and norm > 0 else np.zeros(3)

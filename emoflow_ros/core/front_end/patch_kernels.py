@@ -10,6 +10,8 @@ from emoflow_ros.core.jit import njit
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+# Share of the larger information below which the smaller one may be chance: an edge.
+EDGE = 0.15
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
@@ -56,7 +58,7 @@ def _sample(image: F32, left: float, top: float, out: F32) -> None:
 
 @_compiled
 def align(
-    templates: F32, gains: F64, image: F32, along_x: F32, along_y: F32,
+    templates: F32, signs: F64, image: F32, along_x: F32, along_y: F32,
     start: F64, reach: float, steps: int, position: F64, information: F64, correlation: F64,
 ) -> None:  # fmt: skip
     """Shift each template to where it fits an image best: Gauss-Newton with a free gain.
@@ -66,7 +68,7 @@ def align(
 
     Args:
         templates: (N, side, side).
-        gains: (N,) sign of the template.
+        signs: (N,) of the templates.
         image, along_x, along_y: (h, w) the image and its slopes.
         start: (N, 2) px, where each template's middle is expected.
         reach: standard deviation of that, px: along an edge a template stays there.
@@ -97,14 +99,16 @@ def align(
             _sample(along_x, x - radius, y - radius, slope_x)
             _sample(along_y, x - radius, y - radius, slope_y)
             product, power, a, b, c, tx, ty, jx, jy = _moments(
-                template, now, slope_x, slope_y, weights, np.float32(gains[n])
+                template, now, slope_x, slope_y, weights, np.float32(signs[n])
             )
             gain = min(max(product / squares, np.float32(0.05)), np.float32(20))
             e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
             e = e / (total * np.float32(INDEPENDENT * reach * reach))
             rx = gain * tx - jx + e * (start[n, 0] - x)
             ry = gain * ty - jy + e * (start[n, 1] - y)
-            det = (a + e) * (c + e) - b * b
+            det = float(a + e) * float(c + e) - float(b) * float(b)
+            if not det > 0:
+                break
             dx, dy = ((c + e) * rx - b * ry) / det, ((a + e) * ry - b * rx) / det
             length = math.sqrt(dx * dx + dy * dy)
             if length > 1.5:
@@ -117,7 +121,7 @@ def align(
         _sample(along_y, x - radius, y - radius, slope_y)
         position[n, 0], position[n, 1] = x, y
         correlation[n] = _judge(
-            template, now, slope_x, slope_y, weights, total, squares, np.float32(gains[n]),
+            template, now, slope_x, slope_y, weights, total, squares, np.float32(signs[n]),
             information[n],
         )  # fmt: skip
 
@@ -159,7 +163,7 @@ def _judge(
     # its negative part is chance
     mean, apart = half * (p + r), math.sqrt((half * (p - r)) ** 2 + q * q)
     high = max(mean + apart, np.float32(0))
-    low = max(mean - apart - np.float32(0.15) * high, np.float32(0))
+    low = max(mean - apart - np.float32(EDGE) * high, np.float32(0))
     if apart > 0:
         share = (high - low) / (2 * apart)
         middle = half * (high + low)

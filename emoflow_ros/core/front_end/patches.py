@@ -43,8 +43,8 @@ class Patches:
         seen: (N, K, 2) on the undistorted normalised plane.
         root: (N, K, 2, 2) square root of the information there.
         found: (N, K) whether it was seen.
-        inverse_depth: (N,) at the first of the slices that shows it, over the mean one; NaN where
-            nothing is known.
+        inverse_depth: (N,) at the first of the slices that shows it, over the median one; NaN
+            where nothing is known.
     """
 
     born: Index

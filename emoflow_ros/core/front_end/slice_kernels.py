@@ -21,7 +21,7 @@ def draw_signed(
         x, y: (N,) px.
         dt: (N,) s.
         sign: (N,).
-        flow: (rows, columns, 2) px/s at nodes grid_px apart, constant beyond them.
+        flow: (rows, columns, 2) px/s at nodes grid_px apart, linear beyond them.
         grid_px, width, height: px.
         taps: that smooth the image.
     """

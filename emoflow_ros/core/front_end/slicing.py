@@ -30,12 +30,11 @@ def slices(
         settings: of the front end.
     """
     speed = float(np.quantile(np.linalg.norm(flow, axis=-1), settings.slice_share))
-    length = settings.slice_px / max(speed, 1.0)
+    length = min(settings.slice_px / max(speed, 1.0), settings.longest_slice_s)
     new = (until - since) / NS_PER_S
     count = min(settings.most_slices, max(1, math.ceil(new / length)))
     if count > 1:
         length = new / count
-    length = max(new / count, min(length, settings.longest_slice_s))
     for k in range(count):
         end = since + (until - since) * (k + 1) // count
         begin = end - round(length * NS_PER_S)

@@ -71,7 +71,6 @@ def residuals(free: np.ndarray, o: Observations, p: Prior) -> np.ndarray:
     """All residuals of a vector of unknowns about the start, written down independently."""
     begin = start()
     nodes = np.zeros((NODES, NODE))
-    nodes.ravel()[: NODES * NODE] = 0
     index = np.ones((NODES, NODE), np.bool_)
     index[-1, :6] = False
     nodes[index] = free[: index.sum()]

@@ -35,7 +35,7 @@ def first(image: np.ndarray) -> Patches:
 
 
 @pytest.mark.parametrize("way", [(0.3, -0.2), (2.0, 1.0), (-3.4, 2.6)])
-def test_patches_are_found_to_a_hundredth_of_a_pixel(way):
+def test_patches_are_found_to_hundredths_of_a_pixel(way):
     image = texture()
     patches = first(image)
     assert len(patches) > 60
