@@ -108,7 +108,8 @@ def test_files_that_cannot_be_read(tmp_path):
 
 
 def test_unknown_profiles_name_the_known_ones():
-    with pytest.raises(InputError, match=r"unknown profile 'fast'; use one of paper, .*realtime"):
+    known = r"unknown profile 'fast'; use one of memory, paper, .*realtime"
+    with pytest.raises(InputError, match=known):
         load_config("fast")
 
 
