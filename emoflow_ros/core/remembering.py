@@ -146,7 +146,8 @@ class RememberingEstimator:
         if adjusted.travels and speed > 0:
             across = np.eye(6)
             linear = motion.linear / speed
-            across[:3, :3] = (np.eye(3) - np.outer(linear, linear)) / speed
+            excess = np.sqrt(back.direction_excess)
+            across[:3, :3] = excess * (np.eye(3) - np.outer(linear, linear)) / speed
             covariance = across @ covariance @ across.T
             if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
                 model = MotionModel.FULL

@@ -35,6 +35,8 @@ class BackEndSettings:
         least_cost: over that: fewer errors than expected are not believed.
         disagreement: share of the squared difference to the lattice's angular velocity that is
             added to the covariance.
+        direction_excess: by how much squared errors of the direction of travel exceed its
+            covariance besides: turns and sideways travel that look alike are wrong together.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
         steps, first_steps, rotation_steps: of the adjustment at most: from the last one, from a
             guess, and of a camera that only rotates.
@@ -61,6 +63,7 @@ class BackEndSettings:
     doubtful_cost: float = 1.4
     least_cost: float = 0.5
     disagreement: float = 0.2
+    direction_excess: float = 5.0
     widest_direction_deg: float = 60.0
     steps: int = 8
     first_steps: int = 12
