@@ -106,8 +106,13 @@ class Odometry:
             return state
         seconds = (events.t - state.t[-1]) / NS_PER_S
         ahead = self._carried_on(state, hint, seconds)
-        picture, own = self._draw(ahead, events, hint)
-        expected = self._expected(ahead, picture, seconds, own=own)
+        by_scene = None  # where patches should be, by what is remembered
+        if ahead.adjusted is not None and ahead.x is not None:
+            by_scene = expected_places(self.camera, ahead.patches, ahead.x)
+        picture, own = self._draw(ahead, events, hint, by_scene)
+        expected = by_scene
+        if expected is None or not own:
+            expected = _carried(ahead.patches.place, picture.flow, seconds)
         patches = follow(ahead.patches, picture, expected, self.camera, self.front)
         patches = choose(picture, patches, self.camera, self.front)
         state = self._window(replace(ahead, patches=patches), events.t, hint)
@@ -134,32 +139,23 @@ class Odometry:
             x.velocity[-1] = x.rotation[-1] @ hint.direction * self.back.start_speed
         return replace(state, x=carried_on(x, seconds))
 
-    def _draw(self, state: State, events: SliceEvents, hint: Hint) -> tuple[Slice, bool]:
+    def _draw(
+        self, state: State, events: SliceEvents, hint: Hint, place: Array | None
+    ) -> tuple[Slice, bool]:
         """Draw a slice along the lattice's flow, or the remembered scene's if that is as sharp.
 
         Without the comparison a wrong memory would see what it expects.
         """
         by_lattice = draw(events, hint.flow, self.camera.size)
-        if state.adjusted is None:
-            return by_lattice, False
         x, patches = state.x, state.patches
-        assert x is not None
+        if place is None or x is None:
+            return by_lattice, False
         depths = depths_now(patches, x, self.back.depths)
-        place = expected_places(self.camera, patches, x)
         flow = rigid_flow(self.grid, place, depths, patches.alive, x.angular[-1], x.velocity[-1])
         by_scene = draw(events, flow, self.camera.size)
         if by_scene.sharpness > self.front.own_sharpness * by_lattice.sharpness:
             return by_scene, True
         return by_lattice, False
-
-    def _expected(self, state: State, picture: Slice, seconds: float, *, own: bool) -> Array:
-        """Where patches should be (N, 2) px: by the scene, or carried along the slice's flow."""
-        if own:
-            assert state.x is not None
-            return expected_places(self.camera, state.patches, state.x)
-        place = state.patches.place
-        middle = place + 0.5 * seconds * flow_at(picture.flow, place)
-        return place + seconds * flow_at(picture.flow, middle)
 
     def _window(self, state: State, t: int, hint: Hint) -> State:
         """Keep the latest nodes, and bring depths to the first of them that shows the patch."""
@@ -214,6 +210,12 @@ class Odometry:
             costs=costs,
             adjusted=found,
         )
+
+
+def _carried(place: Array, flow: F32, seconds: float) -> Array:
+    """Carry places (N, 2) px along a slice's flow for some seconds (the midpoint method)."""
+    middle = place + 0.5 * seconds * flow_at(flow, place)
+    return place + seconds * flow_at(flow, middle)
 
 
 _RESCALE = (0.5, 2.0)  # by how much at most

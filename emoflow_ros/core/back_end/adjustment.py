@@ -15,14 +15,13 @@ from scipy.linalg import cho_factor, cho_solve
 from emoflow_ros.core.back_end.adjustment_kernels import (
     NODE,
     Observations,
-    Prior,
     Unknowns,
-    motion_prior,
     observation_cost,
     observe,
     turned,
     without_depths,
 )
+from emoflow_ros.core.back_end.prior_kernels import Prior, motion_prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 
 Array = NDArray[np.float64]

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.back_end.adjustment_kernels import Observations, Prior
+from emoflow_ros.core.back_end.adjustment_kernels import Observations
+from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.events import NS_PER_S
@@ -13,8 +14,6 @@ from emoflow_ros.core.front_end.patches import Patches
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
-
-_OUTLIER = 20.0  # standard deviations: the covariance of a measured velocity is believed
 
 
 @dataclass(frozen=True)
@@ -69,5 +68,5 @@ def prior(
         (times - t[node]) / (t[node + 1] - t[node]),
         np.array([m.angular for m in within]).reshape(-1, 3),
         np.array([m.root for m in within]).reshape(-1, 3, 3),
-        _OUTLIER,
+        settings.lattice_outlier,
     )

@@ -7,15 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
-from emoflow_ros.core.back_end.adjustment_kernels import Observations, Prior, Unknowns
+from emoflow_ros.core.back_end.adjustment_kernels import Observations, Unknowns
 from emoflow_ros.core.back_end.evidence import Measured
+from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import along
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
-
-_TRIED_AT = (4, 6, 8)  # numbers of nodes at which directions of travel are tried
 
 
 def best(
@@ -74,7 +73,7 @@ def starts(
         angular = np.array([measured[n].angular for n in nearest])
         linear = settings.start_speed * np.array([measured[n].direction for n in nearest])
         found = [along(t, angular, direction * linear, depths) for direction in (1.0, 0.0)]
-    if len(t) < settings.slices and (first or len(t) in _TRIED_AT):
+    if len(t) < settings.slices and (first or len(t) in settings.directions_at):
         still = along(t, x.angular, np.zeros((len(t), 3)), depths)
         for direction in _sphere(settings.directions):
             velocity = np.tile(settings.start_speed * direction, (len(t), 1))

@@ -26,9 +26,12 @@ class BackEndSettings:
         depths: least and largest inverse depth.
         lattice_sd_deg: added to the covariance of the lattice's angular velocity, deg/s:
             successive windows overlap.
+        lattice_outlier: distance in standard deviations from which it counts little: far out, for
+            its covariance is believed.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_slices: over whose mean that is decided.
         directions: of travel that are tried while the memory fills.
+        directions_at: numbers of nodes at which they are tried.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
         doubtful_cost: over that: from there on other starts are tried.
@@ -55,9 +58,11 @@ class BackEndSettings:
     depth_sd: float = 1.0
     depths: tuple[float, float] = (0.01, 20.0)
     lattice_sd_deg: float = 1.0
+    lattice_outlier: float = 20.0
     rotation_cost: float = 1.25
     rotation_slices: int = 6
     directions: int = 18
+    directions_at: tuple[int, ...] = (4, 6, 8)
     start_speed: float = 0.3
     expected_cost: float = 0.25
     doubtful_cost: float = 1.4

@@ -6,13 +6,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
-from emoflow_ros.core.back_end.adjustment_kernels import (
-    NODE,
-    Observations,
-    Prior,
-    Unknowns,
-    turned,
-)
+from emoflow_ros.core.back_end.adjustment_kernels import NODE, Observations, Unknowns, turned
+from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import along, motion_at
 from emoflow_ros.core.back_end.walks import Walks

@@ -1,0 +1,161 @@
+"""Compiled loops of the motion prior: its residuals and its part of the normal equations."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.back_end.adjustment_kernels import NODE, POSE, Unknowns
+from emoflow_ros.core.jit import njit
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+
+
+class Prior(NamedTuple):
+    """What is known of the motion besides.
+
+    Attributes:
+        seconds: (K - 1,) between the nodes.
+        angular_walk, velocity_walk: random walk's power spectral density of angular velocity,
+            rad^2/s^3, and of velocity.
+        speed_sd: standard deviation of each component of the velocity.
+        measured_node: (M,) node before which an angular velocity was measured.
+        measured_share: (M,) of the way to the next node.
+        measured: (M, 3) rad/s.
+        measured_root: (M, 3, 3) square root of the information.
+        measured_outlier: distance in standard deviations from which a measurement counts little.
+    """
+
+    seconds: Array
+    angular_walk: float
+    velocity_walk: float
+    speed_sd: float
+    measured_node: Index
+    measured_share: Array
+    measured: Array
+    measured_root: Array
+    measured_outlier: float
+
+
+@_compiled
+def rotation_vector(matrix: Array) -> tuple[float, float, float]:
+    """Logarithm of a rotation (3, 3) below 180 degrees."""
+    x = 0.5 * (matrix[2, 1] - matrix[1, 2])
+    y = 0.5 * (matrix[0, 2] - matrix[2, 0])
+    z = 0.5 * (matrix[1, 0] - matrix[0, 1])
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1.0)
+    angle = math.atan2(sine, cosine)
+    factor = angle / sine if sine > 1e-9 else 1.0
+    return factor * x, factor * y, factor * z
+
+
+@_compiled
+def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: bool) -> float:
+    """Add the motion prior to the normal equations, and return its cost.
+
+    Between nodes white noise drives the accelerations (Barfoot, State Estimation for Robotics,
+    2017, ch. 11): for position and velocity the residuals are p' - p - dt v and v' - v with the
+    covariance q [dt^3/3, dt^2/2; dt^2/2, dt].
+
+    Args:
+        x: where it is linearised.
+        prior: its strength, and what was measured.
+        matrix, right: of the nodes, changed if `build`.
+        build: whether to add to them.
+    """
+    cost = 0.0
+    rows = np.zeros((2, 4 * 3))  # by rotation (or position) and rate at both nodes
+    places = np.empty(12, np.int64)
+    relative, step = np.empty((3, 3)), np.empty(3)
+    for k in range(len(prior.seconds)):
+        dt = prior.seconds[k]
+        for i in range(3):
+            for j in range(3):
+                relative[i, j] = 0.0
+                for m in range(3):
+                    relative[i, j] += x.rotation[k, m, i] * x.rotation[k + 1, m, j]
+        step[0], step[1], step[2] = rotation_vector(relative)
+        for kind in range(2):
+            density = prior.angular_walk if kind == 0 else prior.velocity_walk
+            m00, m01, m11 = 12 / (density * dt**3), -6 / (density * dt**2), 4 / (density * dt)
+            offset = 3 * kind
+            for a in range(12):
+                part, axis = a // 3, a % 3
+                node = k if part < 2 else k + 1
+                places[a] = NODE * node + offset + axis + (POSE if part % 2 else 0)
+            for axis in range(3):
+                rows[:] = 0.0
+                if kind == 0:
+                    first = step[axis] - dt * x.angular[k, axis]
+                    second = x.angular[k + 1, axis] - x.angular[k, axis]
+                    for b in range(3):
+                        rows[0, b] = -relative[b, axis]
+                else:
+                    first = x.position[k + 1, axis] - x.position[k, axis]
+                    first -= dt * x.velocity[k, axis]
+                    second = x.velocity[k + 1, axis] - x.velocity[k, axis]
+                    rows[0, axis] = -1.0
+                rows[0, 3 + axis] = -dt
+                rows[0, 6 + axis] = 1.0
+                rows[1, 3 + axis] = -1.0
+                rows[1, 9 + axis] = 1.0
+                cost += 0.5 * (m00 * first**2 + 2 * m01 * first * second + m11 * second**2)
+                if build:
+                    for a in range(12):
+                        la = m00 * rows[0, a] + m01 * rows[1, a]
+                        lb = m01 * rows[0, a] + m11 * rows[1, a]
+                        if la == 0.0 and lb == 0.0:
+                            continue
+                        right[places[a]] -= la * first + lb * second
+                        for b in range(12):
+                            matrix[places[a], places[b]] += la * rows[0, b] + lb * rows[1, b]
+    slow = 1.0 / prior.speed_sd**2
+    for k in range(len(x.position)):
+        for a in range(3):
+            cost += 0.5 * slow * x.velocity[k, a] ** 2
+            if build:
+                u = NODE * k + 9 + a
+                matrix[u, u] += slow
+                right[u] -= slow * x.velocity[k, a]
+    return cost + _measured(x, prior, matrix, right, build)
+
+
+@_compiled
+def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: bool) -> float:
+    """Add measured angular velocities, and return their robust cost."""
+    cost = 0.0
+    for m in range(len(prior.measured_node)):
+        k, share = prior.measured_node[m], prior.measured_share[m]
+        error, squares = np.empty(3), 0.0
+        for a in range(3):
+            error[a] = (1 - share) * x.angular[k, a] - prior.measured[m, a]
+            if share > 0:
+                error[a] += share * x.angular[k + 1, a]
+        residual = prior.measured_root[m] @ error
+        for a in range(3):
+            squares += residual[a] ** 2
+        bound = prior.measured_outlier**2
+        cost += 0.5 * squares / (1 + squares / bound)
+        if build:
+            weight = 1 / (1 + squares / bound) ** 2
+            information = weight * (prior.measured_root[m].T @ prior.measured_root[m])
+            force = information @ error
+            for a in range(3):
+                for i in range(2):
+                    si = share if i else 1 - share
+                    if si == 0:
+                        continue
+                    u = NODE * (k + i) + POSE + a
+                    right[u] -= si * force[a]
+                    for b in range(3):
+                        for j in range(2):
+                            sj = share if j else 1 - share
+                            if sj != 0:
+                                v = NODE * (k + j) + POSE + b
+                                matrix[u, v] += si * sj * information[a, b]
+    return cost
