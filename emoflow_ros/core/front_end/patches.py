@@ -28,6 +28,8 @@ Index = NDArray[np.int64]
 _RADIUS, _RADIUS_HALF = 9, 8  # of a patch, px of its scale
 _STEPS, _STEPS_HALF = 12, 6  # of its search at each scale
 _TENSOR_TAPS = outwards(gaussian(4.0))
+import os
+PAT = int(os.environ.get("PAT", "1"))
 _HIGH = 0.995  # quantile that scores are measured by
 
 
@@ -79,7 +81,7 @@ class Patches:
     @property
     def alive(self) -> Mask:
         """Those that the newest slice shows, (N,)."""
-        return self.found[:, -1] if self.found.shape[1] else np.zeros(len(self), np.bool_)
+        return self.found[:, -PAT:].any(axis=1) if self.found.shape[1] else np.zeros(len(self), np.bool_)
 
     @property
     def first(self) -> Index:
@@ -115,7 +117,7 @@ class Patches:
         """Add a slice: (N, 2) px, (N, 2), (N, 2, 2) and (N,)."""
         return replace(
             self,
-            place=np.where(found[:, None], place, self.place),
+            place=place,
             seen=np.concatenate([self.seen, seen[:, None]], axis=1),
             root=np.concatenate([self.root, root[:, None]], axis=1),
             found=np.concatenate([self.found, found[:, None]], axis=1),
@@ -149,7 +151,7 @@ def follow(
         camera: of the tracking image.
         settings: of the front end.
     """
-    place, information = np.zeros((len(patches), 2)), np.zeros((len(patches), 2, 2))
+    place, information = np.where(np.isfinite(expected), expected, -9.0), np.zeros((len(patches), 2, 2))
     found = np.zeros(len(patches), np.bool_)
     size = np.array(camera.size)
     inside = ((expected > 0) & (expected < size)).all(axis=1)
@@ -169,7 +171,7 @@ def follow(
         )
         good = (correlation > settings.correlation) & (_distance(at, begin) < settings.reach_px)
         good &= ((at > settings.border_px) & (at < size - settings.border_px)).all(axis=1)
-        place[look], information[look], found[look] = at, weight, good
+        place[look], information[look], found[look] = np.where(good[:, None], at, begin), weight, good
     age = (picture.t - patches.born) / NS_PER_S
     seen, root = on_plane(camera, place, information, age, settings)
     return patches.extended(place, seen, root, found & np.isfinite(seen).all(axis=1))
