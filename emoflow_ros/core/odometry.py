@@ -18,9 +18,14 @@ from emoflow_ros.core.back_end.trajectory import MotionAt, carried_on, first_nod
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
+from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow, _align, on_plane
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, draw
+import os
+RELOOK = int(os.environ.get("RELOOK", "0"))
+REACH = float(os.environ.get("REACH", "1.0"))
+RSTEPS = int(os.environ.get("RSTEPS", "3"))
+from emoflow_ros.core.scene import _points
 from emoflow_ros.core.scene import Grid, depths_now, expected_places, rigid_flow
 
 Array = NDArray[np.float64]
@@ -64,6 +69,7 @@ class State:
     measured: tuple[Measured, ...] = ()
     costs: tuple[float, ...] = ()
     adjusted: Adjusted | None = None
+    pictures: tuple[Slice, ...] = ()
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
@@ -115,8 +121,42 @@ class Odometry:
             expected = _carried(ahead.patches.place, picture.flow, seconds)
         patches = follow(ahead.patches, picture, expected, self.camera, self.front)
         patches = choose(picture, patches, self.camera, self.front)
-        state = self._window(replace(ahead, patches=patches), events.t, hint)
-        return self._adjust(state)
+        state = self._window(replace(ahead, patches=patches, pictures=(*ahead.pictures, picture)[-self.back.slices:]), events.t, hint)
+        state = self._adjust(state)
+        for _ in range(RELOOK):
+            state = self._again(state)
+        return state
+
+    def _again(self, state: State) -> State:
+        if state.adjusted is None:
+            return state
+        x, patches = state.x, state.patches
+        used = np.flatnonzero(np.isfinite(patches.inverse_depth))
+        some = patches.at(used)
+        seen, root, found = some.seen.copy(), some.root.copy(), some.found.copy()
+        first = some.first
+        size = np.array(self.camera.size)
+        for k in range(1, len(state.t)):
+            node = np.full(len(some), k)
+            pts = _points(some, x, some.inverse_depth, node)
+            pts[:, 2] = np.maximum(pts[:, 2], 0.05)
+            where = self.camera.project(pts)
+            look = np.flatnonzero((first < k) & ((where > 5) & (where < size - 5)).all(axis=1))
+            if not len(look):
+                continue
+            pic = state.pictures[k]
+            sign = np.where((some.flow[look] * flow_at(pic.flow, where[look])).sum(axis=1) < 0, -1.0, 1.0)
+            at, weight, corr = _align(some.full[look], sign, pic.full, where[look], REACH, RSTEPS)
+            good = corr > self.front.correlation
+            good &= ((at > 5) & (at < size - 5)).all(axis=1)
+            age = (pic.t - some.born[look]) / NS_PER_S
+            sn, rt = on_plane(self.camera, at, weight, age, self.front)
+            good &= np.isfinite(sn).all(axis=1)
+            seen[look, k], root[look, k], found[look, k] = sn, rt, good
+        S, R, F = patches.seen.copy(), patches.root.copy(), patches.found.copy()
+        S[used], R[used], F[used] = seen, root, found
+        state = replace(state, patches=replace(patches, seen=S, root=R, found=F))
+        return self._adjust(state, again=True)
 
     def _begin(self, state: State, events: SliceEvents, hint: Hint) -> State:
         picture = draw(events, hint.flow, self.camera.size)
@@ -126,6 +166,7 @@ class Odometry:
             t=np.array([events.t]),
             x=first_node(hint.angular, velocity),
             patches=choose(picture, state.patches, self.camera, self.front),
+            pictures=(picture,),
             measured=() if hint.measured is None else (hint.measured,),
         )
 
@@ -169,7 +210,7 @@ class Odometry:
             measured = (*measured, hint.measured)
         return replace(state, t=times, x=x, patches=patches, measured=measured)
 
-    def _adjust(self, state: State) -> State:
+    def _adjust(self, state: State, again=False) -> State:
         """Adjust motion and depths to the places of the patches; decide whether it only rotates."""
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2
@@ -182,6 +223,8 @@ class Odometry:
         begin = x._replace(inverse_depth=depth)
         others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
         full = len(state.t) == back.slices and state.adjusted is not None
+        if again:
+            full, others = True, []
         found = best(problem, begin, known, others, back, full=full)
         if found is None:
             return self.start()
@@ -192,12 +235,12 @@ class Odometry:
             found = best(problem, turned.x, known, [found.x], back, full=False) or found
         if turned is not None:
             saved = (turned.cost - found.cost) / len(some)
-            costs = (*costs, saved)[-back.rotation_slices :]
+            costs = (*(costs[:-1] if again else costs), saved)[-back.rotation_slices :]
             if np.mean(costs) < back.rotation_cost:
                 found = turned
         found = _unit_depth(found)
         try:
-            walks = state.walks.learnt(found, known.seconds, back)
+            walks = state.walks if again else state.walks.learnt(found, known.seconds, back)
         except np.linalg.LinAlgError:
             return self.start()
         depths = patches.inverse_depth.copy()
