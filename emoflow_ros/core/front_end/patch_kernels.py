@@ -101,15 +101,23 @@ def align(
             product, power, a, b, c, tx, ty, jx, jy = _moments(
                 template, now, slope_x, slope_y, weights, np.float32(signs[n])
             )
+            p, q, r = _shared(template, slope_x, slope_y, weights, np.float32(signs[n]))
             gain = min(max(product / squares, np.float32(0.05)), np.float32(20))
             e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
             e = e / (total * np.float32(INDEPENDENT * reach * reach))
             rx = gain * tx - jx + e * (start[n, 0] - x)
             ry = gain * ty - jy + e * (start[n, 1] - y)
-            det = float(a + e) * float(c + e) - float(b) * float(b)
-            if not det > 0:
+            mean, apart = 0.5 * (p + r), math.sqrt((0.5 * (p - r)) ** 2 + q * q)
+            hi, lo = gain * (mean + apart), gain * (mean - apart)
+            if not hi > 0:
                 break
-            dx, dy = ((c + e) * rx - b * ry) / det, ((a + e) * ry - b * rx) / det
+            theta = 0.5 * math.atan2(2 * q, p - r)
+            ux, uy = math.cos(theta), math.sin(theta)
+            sh = (ux * rx + uy * ry) / (hi + e)
+            kept = max(lo - EDGE * hi, 0.0) / hi
+            back_x, back_y = e * (start[n, 0] - x), e * (start[n, 1] - y)
+            sl = ((-uy * rx + ux * ry) * kept + (1 - kept) * (-uy * back_x + ux * back_y)) / (max(lo, 0.0) * kept + e)
+            dx, dy = sh * ux - sl * uy, sh * uy + sl * ux
             length = math.sqrt(dx * dx + dy * dy)
             if length > 1.5:
                 dx, dy = dx * 1.5 / length, dy * 1.5 / length
@@ -124,6 +132,23 @@ def align(
             template, now, slope_x, slope_y, weights, total, squares, np.float32(signs[n]),
             information[n],
         )  # fmt: skip
+
+
+@_compiled
+def _shared(template: F32, slope_x: F32, slope_y: F32, weights: F32, sign: np.float32):
+    p = q = r = np.float32(0)
+    side = template.shape[0]
+    half = np.float32(0.5)
+    for i in range(1, side - 1):
+        for j in range(1, side - 1):
+            w = weights[i, j]
+            jx, jy = slope_x[i, j], slope_y[i, j]
+            tx = half * sign * (template[i, j + 1] - template[i, j - 1])
+            ty = half * sign * (template[i + 1, j] - template[i - 1, j])
+            p += w * tx * jx
+            q += w * half * (tx * jy + ty * jx)
+            r += w * ty * jy
+    return p, q, r
 
 
 @_compiled
