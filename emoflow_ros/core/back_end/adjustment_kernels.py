@@ -123,7 +123,7 @@ def observe(
     Args:
         o, x: observations and where they are linearised.
         outlier: distance in standard deviations from which an observation counts little.
-        matrix, right: (12 K, 12 K) and (12 K,) of the nodes.
+        matrix, right: (12 K, 12 K), its lower triangle, and (12 K,) of the nodes.
         cross: (J, 12 K) of depths and nodes.
         depth_matrix, depth_right: (J,) of the depths.
     """
@@ -179,9 +179,9 @@ def observe(
             ra, rb = rows[0, a], rows[1, a]
             right[u] -= ra * rx + rb * ry
             cross[j, u] += ra * rows[0, 12] + rb * rows[1, 12]
-            for b in range(12):
+            for b in range(a + 1):
                 v = NODE * k + b if b < POSE else NODE * i + b - POSE
-                matrix[u, v] += ra * rows[0, b] + rb * rows[1, b]
+                matrix[max(u, v), min(u, v)] += ra * rows[0, b] + rb * rows[1, b]
     for j in range(len(o.anchor)):
         precision = 1.0 / o.depth_sd[j] ** 2
         depth_matrix[j] += precision
@@ -192,7 +192,7 @@ def observe(
 def without_depths(
     matrix: Array, right: Array, cross: Array, depth_matrix: Array, depth_right: Array
 ) -> None:
-    """Take the depths out of the normal equations, in place (Schur complement)."""
+    """Take the depths out of the normal equations, in place (Schur complement, lower triangle)."""
     size = len(right)
     touched = np.empty(size, np.int64)
     for j in range(len(depth_matrix)):
@@ -206,6 +206,6 @@ def without_depths(
             u = touched[a]
             factor = cross[j, u] * inverse
             right[u] -= factor * depth_right[j]
-            for b in range(count):
+            for b in range(a + 1):
                 v = touched[b]
                 matrix[u, v] -= factor * cross[j, v]
