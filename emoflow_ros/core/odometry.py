@@ -22,6 +22,8 @@ from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow,
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, draw
 import os
+EVERY = int(os.environ.get("EVERY", "1"))
+SURE = float(os.environ.get("SURE", "3"))
 RELOOK = int(os.environ.get("RELOOK", "0"))
 REACH = float(os.environ.get("REACH", "1.0"))
 RSTEPS = int(os.environ.get("RSTEPS", "3"))
@@ -70,6 +72,7 @@ class State:
     costs: tuple[float, ...] = ()
     adjusted: Adjusted | None = None
     pictures: tuple[Slice, ...] = ()
+    count: int = 0
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
@@ -223,13 +226,17 @@ class Odometry:
         begin = x._replace(inverse_depth=depth)
         others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
         full = len(state.t) == back.slices and state.adjusted is not None
+        turn = state.count % EVERY == 0
+        if full and not turn:
+            others = []
         if again:
             full, others = True, []
         found = best(problem, begin, known, others, back, full=full)
         if found is None:
             return self.start()
         costs = state.costs
-        turned = rotating(problem, found, known, back)
+        sure = len(costs) == back.rotation_slices and np.mean(costs) > SURE * back.rotation_cost
+        turned = None if sure and not turn else rotating(problem, found, known, back)
         if turned is not None and turned.cost < found.cost:
             # Travel includes it: the search went astray.
             found = best(problem, turned.x, known, [found.x], back, full=False) or found
@@ -252,6 +259,7 @@ class Odometry:
             walks=walks,
             costs=costs,
             adjusted=found,
+            count=state.count + 1,
         )
 
 
