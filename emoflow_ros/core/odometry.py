@@ -18,16 +18,9 @@ from emoflow_ros.core.back_end.trajectory import MotionAt, carried_on, first_nod
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow, _align, on_plane
+from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, draw
-import os
-EVERY = int(os.environ.get("EVERY", "1"))
-SURE = float(os.environ.get("SURE", "3"))
-RELOOK = int(os.environ.get("RELOOK", "0"))
-REACH = float(os.environ.get("REACH", "1.0"))
-RSTEPS = int(os.environ.get("RSTEPS", "3"))
-from emoflow_ros.core.scene import _points
 from emoflow_ros.core.scene import Grid, depths_now, expected_places, rigid_flow
 
 Array = NDArray[np.float64]
@@ -62,6 +55,7 @@ class State:
         walks: how restless the camera is.
         costs: what a patch costs more if the camera only rotates, of the last slices.
         adjusted: the last adjustment; None while patches are too few.
+        adjustments: how many there were.
     """
 
     walks: Walks
@@ -71,8 +65,7 @@ class State:
     measured: tuple[Measured, ...] = ()
     costs: tuple[float, ...] = ()
     adjusted: Adjusted | None = None
-    pictures: tuple[Slice, ...] = ()
-    count: int = 0
+    adjustments: int = 0
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
@@ -124,42 +117,8 @@ class Odometry:
             expected = _carried(ahead.patches.place, picture.flow, seconds)
         patches = follow(ahead.patches, picture, expected, self.camera, self.front)
         patches = choose(picture, patches, self.camera, self.front)
-        state = self._window(replace(ahead, patches=patches, pictures=(*ahead.pictures, picture)[-self.back.slices:]), events.t, hint)
-        state = self._adjust(state)
-        for _ in range(RELOOK):
-            state = self._again(state)
-        return state
-
-    def _again(self, state: State) -> State:
-        if state.adjusted is None:
-            return state
-        x, patches = state.x, state.patches
-        used = np.flatnonzero(np.isfinite(patches.inverse_depth))
-        some = patches.at(used)
-        seen, root, found = some.seen.copy(), some.root.copy(), some.found.copy()
-        first = some.first
-        size = np.array(self.camera.size)
-        for k in range(1, len(state.t)):
-            node = np.full(len(some), k)
-            pts = _points(some, x, some.inverse_depth, node)
-            pts[:, 2] = np.maximum(pts[:, 2], 0.05)
-            where = self.camera.project(pts)
-            look = np.flatnonzero((first < k) & ((where > 5) & (where < size - 5)).all(axis=1))
-            if not len(look):
-                continue
-            pic = state.pictures[k]
-            sign = np.where((some.flow[look] * flow_at(pic.flow, where[look])).sum(axis=1) < 0, -1.0, 1.0)
-            at, weight, corr = _align(some.full[look], sign, pic.full, where[look], REACH, RSTEPS)
-            good = corr > self.front.correlation
-            good &= ((at > 5) & (at < size - 5)).all(axis=1)
-            age = (pic.t - some.born[look]) / NS_PER_S
-            sn, rt = on_plane(self.camera, at, weight, age, self.front)
-            good &= np.isfinite(sn).all(axis=1)
-            seen[look, k], root[look, k], found[look, k] = sn, rt, good
-        S, R, F = patches.seen.copy(), patches.root.copy(), patches.found.copy()
-        S[used], R[used], F[used] = seen, root, found
-        state = replace(state, patches=replace(patches, seen=S, root=R, found=F))
-        return self._adjust(state, again=True)
+        state = self._window(replace(ahead, patches=patches), events.t, hint)
+        return self._adjust(state)
 
     def _begin(self, state: State, events: SliceEvents, hint: Hint) -> State:
         picture = draw(events, hint.flow, self.camera.size)
@@ -169,7 +128,6 @@ class Odometry:
             t=np.array([events.t]),
             x=first_node(hint.angular, velocity),
             patches=choose(picture, state.patches, self.camera, self.front),
-            pictures=(picture,),
             measured=() if hint.measured is None else (hint.measured,),
         )
 
@@ -195,7 +153,7 @@ class Odometry:
         if place is None or x is None:
             return by_lattice, False
         depths = depths_now(patches, x, self.back.depths)
-        flow = rigid_flow(self.grid, place, depths, patches.alive, x.angular[-1], x.velocity[-1])
+        flow = rigid_flow(self.grid, place, depths, patches.shown, x.angular[-1], x.velocity[-1])
         by_scene = draw(events, flow, self.camera.size)
         if by_scene.sharpness > self.front.own_sharpness * by_lattice.sharpness:
             return by_scene, True
@@ -213,7 +171,7 @@ class Odometry:
             measured = (*measured, hint.measured)
         return replace(state, t=times, x=x, patches=patches, measured=measured)
 
-    def _adjust(self, state: State, again=False) -> State:
+    def _adjust(self, state: State) -> State:
         """Adjust motion and depths to the places of the patches; decide whether it only rotates."""
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2
@@ -224,30 +182,26 @@ class Odometry:
         known = prior(state.t, state.measured, state.walks, back)
         depth = np.where(np.isfinite(some.inverse_depth), some.inverse_depth, 1.0)
         begin = x._replace(inverse_depth=depth)
-        others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
         full = len(state.t) == back.slices and state.adjusted is not None
-        turn = state.count % EVERY == 0
-        if full and not turn:
-            others = []
-        if again:
-            full, others = True, []
-        found = best(problem, begin, known, others, back, full=full)
+        checked = not full or state.adjustments % back.check_every == 0
+        others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
+        found = best(problem, begin, known, others if checked else [], back, full=full)
         if found is None:
             return self.start()
         costs = state.costs
-        sure = len(costs) == back.rotation_slices and np.mean(costs) > SURE * back.rotation_cost
-        turned = None if sure and not turn else rotating(problem, found, known, back)
+        sure = len(costs) == back.rotation_slices and np.mean(costs) > back.surely_travels
+        turned = None if sure and not checked else rotating(problem, found, known, back)
         if turned is not None and turned.cost < found.cost:
             # Travel includes it: the search went astray.
             found = best(problem, turned.x, known, [found.x], back, full=False) or found
         if turned is not None:
             saved = (turned.cost - found.cost) / len(some)
-            costs = (*(costs[:-1] if again else costs), saved)[-back.rotation_slices :]
+            costs = (*costs, saved)[-back.rotation_slices :]
             if np.mean(costs) < back.rotation_cost:
                 found = turned
         found = _unit_depth(found)
         try:
-            walks = state.walks if again else state.walks.learnt(found, known.seconds, back)
+            walks = state.walks.learnt(found, known.seconds, back)
         except np.linalg.LinAlgError:
             return self.start()
         depths = patches.inverse_depth.copy()
@@ -259,7 +213,7 @@ class Odometry:
             walks=walks,
             costs=costs,
             adjusted=found,
-            count=state.count + 1,
+            adjustments=state.adjustments + 1,
         )
 
 

@@ -30,6 +30,8 @@ class BackEndSettings:
             its covariance is believed.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_slices: over whose mean that is decided.
+        surely_travels: cost per patch from which that is checked now and then only.
+        check_every: slices between such checks, and between other starts where places do not fit.
         directions: of travel that are tried while the memory fills.
         directions_at: numbers of nodes at which they are tried.
         start_speed: of these, 1/s.
@@ -61,6 +63,8 @@ class BackEndSettings:
     lattice_outlier: float = 20.0
     rotation_cost: float = 1.25
     rotation_slices: int = 6
+    surely_travels: float = 3.75
+    check_every: int = 3
     directions: int = 18
     directions_at: tuple[int, ...] = (4, 6, 8)
     start_speed: float = 0.3

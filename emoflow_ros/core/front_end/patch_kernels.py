@@ -64,7 +64,8 @@ def align(
     """Shift each template to where it fits an image best: Gauss-Newton with a free gain.
 
     Minimises sum W (g T - J(x + p))^2 over p and the gain g (Baker and Matthews, IJCV 2004), W
-    a Gaussian of 0.6 of the patch's radius.
+    a Gaussian of 0.6 of the patch's radius. The curvature is that of the slopes which both images
+    share, as in `_judge`: noise would let a template slide along an edge.
 
     Args:
         templates: (N, side, side).
@@ -98,26 +99,21 @@ def align(
             _sample(image, x - radius, y - radius, now)
             _sample(along_x, x - radius, y - radius, slope_x)
             _sample(along_y, x - radius, y - radius, slope_y)
-            product, power, a, b, c, tx, ty, jx, jy = _moments(
+            product, power, tx, ty, jx, jy, p, q, r = _moments(
                 template, now, slope_x, slope_y, weights, np.float32(signs[n])
             )
-            p, q, r = _shared(template, slope_x, slope_y, weights, np.float32(signs[n]))
             gain = min(max(product / squares, np.float32(0.05)), np.float32(20))
             e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
             e = e / (total * np.float32(INDEPENDENT * reach * reach))
-            rx = gain * tx - jx + e * (start[n, 0] - x)
-            ry = gain * ty - jy + e * (start[n, 1] - y)
-            mean, apart = 0.5 * (p + r), math.sqrt((0.5 * (p - r)) ** 2 + q * q)
-            hi, lo = gain * (mean + apart), gain * (mean - apart)
-            if not hi > 0:
+            high, low, shown, ux, uy = _axes(gain * p, gain * q, gain * r)
+            if not high > 0:
                 break
-            theta = 0.5 * math.atan2(2 * q, p - r)
-            ux, uy = math.cos(theta), math.sin(theta)
-            sh = (ux * rx + uy * ry) / (hi + e)
-            kept = max(lo - EDGE * hi, 0.0) / hi
+            rx, ry = gain * tx - jx, gain * ty - jy
             back_x, back_y = e * (start[n, 0] - x), e * (start[n, 1] - y)
-            sl = ((-uy * rx + ux * ry) * kept + (1 - kept) * (-uy * back_x + ux * back_y)) / (max(lo, 0.0) * kept + e)
-            dx, dy = sh * ux - sl * uy, sh * uy + sl * ux
+            across = (ux * (rx + back_x) + uy * (ry + back_y)) / (high + e)
+            along = shown * (ux * ry - uy * rx) + ux * back_y - uy * back_x
+            along /= low + e
+            dx, dy = across * ux - along * uy, across * uy + along * ux
             length = math.sqrt(dx * dx + dy * dy)
             if length > 1.5:
                 dx, dy = dx * 1.5 / length, dy * 1.5 / length
@@ -132,23 +128,6 @@ def align(
             template, now, slope_x, slope_y, weights, total, squares, np.float32(signs[n]),
             information[n],
         )  # fmt: skip
-
-
-@_compiled
-def _shared(template: F32, slope_x: F32, slope_y: F32, weights: F32, sign: np.float32):
-    p = q = r = np.float32(0)
-    side = template.shape[0]
-    half = np.float32(0.5)
-    for i in range(1, side - 1):
-        for j in range(1, side - 1):
-            w = weights[i, j]
-            jx, jy = slope_x[i, j], slope_y[i, j]
-            tx = half * sign * (template[i, j + 1] - template[i, j - 1])
-            ty = half * sign * (template[i + 1, j] - template[i - 1, j])
-            p += w * tx * jx
-            q += w * half * (tx * jy + ty * jx)
-            r += w * ty * jy
-    return p, q, r
 
 
 @_compiled
@@ -184,15 +163,9 @@ def _judge(
                 r += w * ty * jy
     gain = product / squares
     variance = max(power - gain * product, np.float32(1e-6) * power) / total
-    p, q, r = gain * p, gain * q, gain * r
-    # its negative part is chance
-    mean, apart = half * (p + r), math.sqrt((half * (p - r)) ** 2 + q * q)
-    high = max(mean + apart, np.float32(0))
-    low = max(mean - apart - np.float32(EDGE) * high, np.float32(0))
-    if apart > 0:
-        share = (high - low) / (2 * apart)
-        middle = half * (high + low)
-        p, q, r = middle + share * (p - mean), share * q, middle + share * (r - mean)
+    high, low, _, ux, uy = _axes(gain * p, gain * q, gain * r)
+    p, r = high * ux * ux + low * uy * uy, high * uy * uy + low * ux * ux
+    q = (high - low) * ux * uy
     det = max((a * c - b * b) * variance, np.float32(1e-12))
     # S (J' J')^-1 S
     m00, m01 = (p * c - q * b) / det, (q * a - p * b) / det
@@ -204,26 +177,48 @@ def _judge(
 
 
 @_compiled
+def _axes(p: float, q: float, r: float) -> tuple[float, float, float, float, float]:
+    """Principal axes of the shared slopes [p, q; q, r].
+
+    Returns:
+        The larger value; the smaller one less what may be chance; the share of it that is left; and
+        the unit vector (x, y) of the larger one, across an edge.
+    """
+    mean, apart = 0.5 * (p + r), math.sqrt((0.5 * (p - r)) ** 2 + q * q)
+    high, low = max(mean + apart, 0.0), mean - apart
+    left = max(low - EDGE * high, 0.0)
+    angle = 0.5 * math.atan2(2 * q, p - r)
+    return high, left, left / low if left > 0 else 0.0, math.cos(angle), math.sin(angle)
+
+
+@_compiled
 def _moments(
     template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, sign: np.float32
 ) -> tuple[np.float32, ...]:
-    """Weighted sums of T J, J J, Jx Jx, Jx Jy, Jy Jy, T Jx, T Jy, J Jx and J Jy."""
-    product = power = a = b = c = tx = ty = jx = jy = np.float32(0)
+    """Weighted sums of T J, J J, T Jx, T Jy, J Jx, J Jy and of the shared slopes.
+
+    The latter are the mean of T' J' over both orders: xx, xy and yy.
+    """
+    product = power = tx = ty = jx = jy = p = q = r = np.float32(0)
     side = template.shape[0]
+    half = np.float32(0.5)
     for i in range(side):
         for j in range(side):
-            w, t = weights[i, j], sign * template[i, j]
-            wx, wy, value = w * slope_x[i, j], w * slope_y[i, j], now[i, j]
+            w, t, value = weights[i, j], sign * template[i, j], now[i, j]
+            wx, wy = w * slope_x[i, j], w * slope_y[i, j]
             product += w * t * value
             power += w * value * value
-            a += wx * slope_x[i, j]
-            b += wx * slope_y[i, j]
-            c += wy * slope_y[i, j]
             tx += wx * t
             ty += wy * t
             jx += wx * value
             jy += wy * value
-    return product, power, a, b, c, tx, ty, jx, jy
+            if 0 < i < side - 1 and 0 < j < side - 1:
+                sx = half * sign * (template[i, j + 1] - template[i, j - 1])
+                sy = half * sign * (template[i + 1, j] - template[i - 1, j])
+                p += wx * sx
+                q += half * (wy * sx + wx * sy)
+                r += wy * sy
+    return product, power, tx, ty, jx, jy, p, q, r
 
 
 @_compiled

@@ -28,8 +28,6 @@ Index = NDArray[np.int64]
 _RADIUS, _RADIUS_HALF = 9, 8  # of a patch, px of its scale
 _STEPS, _STEPS_HALF = 12, 6  # of its search at each scale
 _TENSOR_TAPS = outwards(gaussian(4.0))
-import os
-PAT = int(os.environ.get("PAT", "1"))
 _HIGH = 0.995  # quantile that scores are measured by
 
 
@@ -41,7 +39,7 @@ class Patches:
         born: (N,) ns, the slice of the first appearance.
         full, half: (N, side, side) first appearance at full and at half resolution.
         flow: (N, 2) px/s at that time.
-        place: (N, 2) px of the tracking image, where it was seen last.
+        place: (N, 2) px of the tracking image, where it is, or should be: off the image if unknown.
         seen: (N, K, 2) on the undistorted normalised plane.
         root: (N, K, 2, 2) square root of the information there.
         found: (N, K) whether it was seen.
@@ -79,9 +77,13 @@ class Patches:
         )
 
     @property
-    def alive(self) -> Mask:
+    def shown(self) -> Mask:
         """Those that the newest slice shows, (N,)."""
-        return self.found[:, -PAT:].any(axis=1) if self.found.shape[1] else np.zeros(len(self), np.bool_)
+        return self.followed(0)
+
+    def followed(self, patience: int) -> Mask:
+        """Those that were missing in so many of the newest slices at most, (N,)."""
+        return self.found[:, -1 - patience :].any(axis=1)
 
     @property
     def first(self) -> Index:
@@ -151,11 +153,12 @@ def follow(
         camera: of the tracking image.
         settings: of the front end.
     """
-    place, information = np.where(np.isfinite(expected), expected, -9.0), np.zeros((len(patches), 2, 2))
+    place = np.where(np.isfinite(expected), expected, -1.0)
+    information = np.zeros((len(patches), 2, 2))
     found = np.zeros(len(patches), np.bool_)
     size = np.array(camera.size)
     inside = ((expected > 0) & (expected < size)).all(axis=1)
-    look = np.flatnonzero(patches.alive & inside)
+    look = np.flatnonzero(patches.followed(settings.patience) & inside)
     if len(look):
         begin, reach = expected[look], settings.expected_px
         with_flow = (patches.flow[look] * flow_at(picture.flow, begin)).sum(axis=1)
@@ -171,7 +174,7 @@ def follow(
         )
         good = (correlation > settings.correlation) & (_distance(at, begin) < settings.reach_px)
         good &= ((at > settings.border_px) & (at < size - settings.border_px)).all(axis=1)
-        place[look], information[look], found[look] = np.where(good[:, None], at, begin), weight, good
+        place[look[good]], information[look], found[look] = at[good], weight, good
     age = (picture.t - patches.born) / NS_PER_S
     seen, root = on_plane(camera, place, information, age, settings)
     return patches.extended(place, seen, root, found & np.isfinite(seen).all(axis=1))
@@ -206,10 +209,10 @@ def looked_up(camera: Camera, place: Array) -> tuple[Array, Array]:
     low = np.where(inside[:, None], low, 0)
     x, y = (place - low).T[..., None]
     column, row = low.T
-    bearing = np.zeros((len(place), 2))
-    for dx, dy, share in ((0, 0, (1 - x) * (1 - y)), (1, 0, x * (1 - y)), (0, 1, (1 - x) * y), (1, 1, x * y)):
-        bearing += share * camera.bearings[row + dy, column + dx]
-    bearing[~inside] = np.nan
+    maps = camera.bearings
+    above = (1 - x) * maps[row, column] + x * maps[row, column + 1]
+    below = (1 - x) * maps[row + 1, column] + x * maps[row + 1, column + 1]
+    bearing = np.where(inside[:, None], (1 - y) * above + y * below, np.nan)
     return bearing, camera.flow_jacobian[row, column].astype(np.float64)
 
 
@@ -222,7 +225,7 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         camera: of the tracking image.
         settings: of the front end.
     """
-    taken = patches.place[patches.alive]
+    taken = patches.place[patches.followed(settings.patience)]
     most = settings.most_patches - len(taken)
     if most <= 0:
         return patches

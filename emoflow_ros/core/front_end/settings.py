@@ -23,6 +23,8 @@ class FrontEndSettings:
         own_sharpness: sharpness of a slice drawn along the remembered scene's flow, over that
             along the lattice's, from which the former is taken.
         correlation: least one of a patch that was found.
+        patience: in how many slices in a row a patch may be missing: where an edge stops it fires
+            no events, and fires again.
         expected_px: standard deviation of the place where a patch is expected, px.
         reach_px: a patch is not found further from there, px.
         coarse_reach_px: a step at half resolution is not longer, px.
@@ -42,6 +44,7 @@ class FrontEndSettings:
     most_events: int = 60_000
     own_sharpness: float = 0.97
     correlation: float = 0.5
+    patience: int = 3
     expected_px: float = 2.0
     reach_px: float = 7.0
     coarse_reach_px: float = 6.0

@@ -42,7 +42,7 @@ def test_patches_are_found_to_hundredths_of_a_pixel(way):
     found = follow(
         patches, slice_of(moved(image, *way), 10**7), patches.place + 1.0, CAMERA, SETTINGS
     )
-    good = found.alive
+    good = found.shown
     assert good.mean() > 0.9
     error = (found.place - patches.place - way)[good]
     assert np.median(np.linalg.norm(error, axis=1)) < 0.03
@@ -53,8 +53,8 @@ def test_a_patch_that_goes_back_has_the_other_polarity():
     patches = first(image)
     back = slice_of(-moved(image, -1.0, 0.5), 10**7, flow=(-10.0, 0.0))
     found = follow(patches, back, patches.place, CAMERA, SETTINGS)
-    assert found.alive.mean() > 0.9
-    assert np.median((found.place - patches.place)[found.alive], axis=0) == pytest.approx(
+    assert found.shown.mean() > 0.9
+    assert np.median((found.place - patches.place)[found.shown], axis=0) == pytest.approx(
         [-1.0, 0.5], abs=0.02
     )
 
@@ -62,7 +62,7 @@ def test_a_patch_that_goes_back_has_the_other_polarity():
 def test_another_texture_is_not_found():
     patches = first(texture())
     found = follow(patches, slice_of(texture(1), 10**7), patches.place, CAMERA, SETTINGS)
-    assert found.alive.mean() < 0.2  # two smooth textures look alike here and there
+    assert found.shown.mean() < 0.2  # two smooth textures look alike here and there
 
 
 def test_along_an_edge_nothing_is_known_of_the_place():
@@ -79,7 +79,7 @@ def test_along_an_edge_nothing_is_known_of_the_place():
     found = follow(
         patches, slice_of(edge(), 10**7), patches.place + np.array([0.0, 2.0]), CAMERA, SETTINGS
     )
-    assert found.alive.all()
+    assert found.shown.all()
     along = found.place[:, 1] - patches.place[:, 1]
     assert np.abs(found.place[:, 0] - patches.place[:, 0]).max() < 0.2
     assert np.median(np.abs(along - 2.0)) < 2 * SETTINGS.expected_px
@@ -96,8 +96,8 @@ def test_information_is_that_of_the_errors():
         noisy = [clean + 1.5 * gaussian_filter(rng.normal(size=clean.shape), 0.8) for _ in range(2)]
         patches = first(noisy[0])
         found = follow(patches, slice_of(noisy[1], 10**6), patches.place, CAMERA, SETTINGS)
-        error = (found.place - patches.place)[found.alive] / 120.0
-        white = np.einsum("nij,nj->ni", found.root[found.alive, -1], error)
+        error = (found.place - patches.place)[found.shown] / 120.0
+        white = np.einsum("nij,nj->ni", found.root[found.shown, -1], error)
         squares.append((white**2).sum(axis=1))
     mean = float(np.concatenate(squares).mean())
     assert 0.3 < mean < 2.5
@@ -128,7 +128,7 @@ def test_the_oldest_slice_is_forgotten_with_what_only_it_shows():
     image = texture()
     patches = first(image)
     found = follow(patches, slice_of(moved(image, 1, 0), 10**7), patches.place, CAMERA, SETTINGS)
-    lost = ~found.alive
+    lost = ~found.shown
     kept = found.without_first(np.full(len(found), 0.7))
     assert len(kept) == len(found) - lost.sum()
     assert kept.found.shape[1] == 1
