@@ -182,18 +182,17 @@ class Odometry:
         known = prior(state.t, state.measured, state.walks, back)
         depth = np.where(np.isfinite(some.inverse_depth), some.inverse_depth, 1.0)
         begin = x._replace(inverse_depth=depth)
-        full = len(state.t) == back.slices and state.adjusted is not None
-        checked = not full or state.adjustments % back.check_every == 0
         others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
-        found = best(problem, begin, known, others if checked else [], back, full=full)
+        found = best(problem, begin, known, others, back)
         if found is None:
             return self.start()
         costs = state.costs
         sure = len(costs) == back.rotation_slices and np.mean(costs) > back.surely_travels
-        turned = None if sure and not checked else rotating(problem, found, known, back)
+        skipped = sure and state.adjustments % back.check_every != 0
+        turned = None if skipped else rotating(problem, found, known, back)
         if turned is not None and turned.cost < found.cost:
             # Travel includes it: the search went astray.
-            found = best(problem, turned.x, known, [found.x], back, full=False) or found
+            found = best(problem, turned.x, known, [], back) or found
         if turned is not None:
             saved = (turned.cost - found.cost) / len(some)
             costs = (*costs, saved)[-back.rotation_slices :]

@@ -13,6 +13,7 @@ Index = NDArray[np.int64]
 
 NODE = 12  # unknowns of a node: rotation, position, angular velocity, velocity
 POSE = 6  # the first of them, which observations depend on
+_DEPTHS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)  # inverse, over the mean one
 _NEAREST = 1e-3  # least depth over that of the anchor
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
@@ -111,6 +112,25 @@ def observation_cost(o: Observations, x: Unknowns, outlier: float, squares: Arra
     for j in range(len(o.anchor)):
         cost += 0.5 * ((x.inverse_depth[j] - o.depth_mean[j]) / o.depth_sd[j]) ** 2
     return cost
+
+
+@_compiled
+def likeliest_depths(o: Observations, x: Unknowns, outlier: float) -> Array:
+    """Inverse depths (J,), out of some, at which each patch's robust cost along a way is least."""
+    least, likeliest = np.full(len(o.anchor), np.inf), np.ones(len(o.anchor))
+    squares = np.empty(len(o.patch))
+    for depth in _DEPTHS:
+        tried = Unknowns(
+            x.rotation, x.position, x.angular, x.velocity, np.full(len(o.anchor), depth)
+        )
+        observation_cost(o, tried, outlier, squares)
+        cost = np.zeros(len(o.anchor))
+        for n in range(len(o.patch)):
+            cost[o.patch[n]] += squares[n] / (1 + squares[n] / outlier**2)
+        for j in range(len(cost)):
+            if cost[j] < least[j]:
+                least[j], likeliest[j] = cost[j], depth
+    return likeliest
 
 
 @_compiled

@@ -7,7 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
-from emoflow_ros.core.back_end.adjustment_kernels import Observations, Unknowns
+from emoflow_ros.core.back_end.adjustment_kernels import (
+    Observations,
+    Unknowns,
+    likeliest_depths,
+)
 from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
@@ -19,41 +23,38 @@ Times = NDArray[np.int64]
 
 def best(
     problem: Observations, start: Unknowns, prior: Prior, others: list[Unknowns],
-    settings: BackEndSettings, *, full: bool,
+    settings: BackEndSettings,
 ) -> Adjusted | None:  # fmt: skip
-    """Adjust from a start, and from others if it fits badly; take the least cost.
+    """Adjust from a start and from others; take the least cost.
+
+    The others are guesses, so that outliers are told from them step by step (graduated
+    non-convexity: Blake and Zisserman, Visual Reconstruction, 1987).
 
     Args:
         problem: the places of patches.
         start: goes on from the last adjustment.
         prior: of the motion.
-        others: that may be better.
+        others: that may be better; their depths are looked for.
         settings: of the back end.
-        full: whether the memory is full: while it fills, all starts are tried.
 
     Returns:
         None if all diverge.
     """
-    found = _adjusted(problem, start, prior, settings.steps, settings)
-    if MODE >= 1:
-        if True:
-            made = _annealed(problem, start, prior, ((8.0, 4), (4.0, 4), (2.0, settings.steps)), settings)
-        if made is not None and (found is None or made.cost < found.cost):
-            found = made
-    if full and found is not None and found.mean_cost(settings) < settings.doubtful_cost and MODE < 2:
-        return found
+    tight = ((settings.outlier, settings.steps),)
+    found = _adjusted(problem, start, prior, tight, settings)
     for x in others:
-        made = _annealed(problem, x, prior, ((8.0, 6), (4.0, 4), (2.0, settings.steps)), settings) if MODE else _adjusted(problem, x, prior, settings.first_steps, settings)
+        x = x._replace(inverse_depth=likeliest_depths(problem, x, settings.outlier))
+        made = _adjusted(problem, x, prior, (settings.wide, *tight), settings)
         if made is not None and (found is None or made.cost < found.cost):
             found = made
     return found
 
 
-import os
-MODE = int(os.environ.get("GNC", "0"))
-
-
-def _annealed(problem, x, prior, plan, settings):
+def _adjusted(
+    problem: Observations, x: Unknowns, prior: Prior, plan: tuple[tuple[float, int], ...],
+    settings: BackEndSettings,
+) -> Adjusted | None:  # fmt: skip
+    """Adjust with one bound of outliers after another, each for some steps; None if it diverges."""
     found = None
     with suppress(np.linalg.LinAlgError):
         for outlier, steps in plan:
@@ -63,18 +64,10 @@ def _annealed(problem, x, prior, plan, settings):
     return None
 
 
-def _adjusted(
-    problem: Observations, x: Unknowns, prior: Prior, steps: int, settings: BackEndSettings
-) -> Adjusted | None:
-    with suppress(np.linalg.LinAlgError):
-        return adjust(problem, x, prior, settings.outlier, steps, settings.depths)
-    return None
-
-
 def starts(
     t: Times, x: Unknowns, measured: tuple[Measured, ...], settings: BackEndSettings, *, first: bool
 ) -> list[Unknowns]:
-    """List other starts: as measured and at one place, and while the memory fills, directions.
+    """List other starts: as measured; while the memory fills at one place and directions, too.
 
     Without the former a wrong memory would keep itself up: it predicts what it sees.
 
@@ -86,12 +79,14 @@ def starts(
         first: whether there is no last adjustment.
     """
     depths = np.ones(len(x.inverse_depth))
-    found = []
+    found: list[Unknowns] = []
     if measured:
         nearest = np.abs(np.array([m.t for m in measured]) - t[:, None]).argmin(axis=1)
         angular = np.array([measured[n].angular for n in nearest])
         linear = settings.start_speed * np.array([measured[n].direction for n in nearest])
-        found = [along(t, angular, direction * linear, depths) for direction in (1.0, 0.0)]
+        found.append(along(t, angular, linear, depths))
+        if len(t) < settings.slices:
+            found.append(along(t, angular, np.zeros_like(linear), depths))
     if len(t) < settings.slices and (first or len(t) in settings.directions_at):
         still = along(t, x.angular, np.zeros((len(t), 3)), depths)
         for direction in _sphere(settings.directions):

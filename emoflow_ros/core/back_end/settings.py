@@ -31,20 +31,19 @@ class BackEndSettings:
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_slices: over whose mean that is decided.
         surely_travels: cost per patch from which that is checked now and then only.
-        check_every: slices between such checks, and between other starts where places do not fit.
+        check_every: slices between such checks.
         directions: of travel that are tried while the memory fills.
         directions_at: numbers of nodes at which they are tried.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
-        doubtful_cost: over that: from there on other starts are tried.
         least_cost: over that: fewer errors than expected are not believed.
         disagreement: share of the squared difference to the lattice's angular velocity that is
             added to the covariance.
         direction_excess: by how much squared errors of the direction of travel exceed its
             covariance besides: turns and sideways travel that look alike are wrong together.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
-        steps, first_steps, rotation_steps: of the adjustment at most: from the last one, from a
-            guess, and of a camera that only rotates.
+        steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
+        wide: bound like `outlier` that the adjustment of a guess begins with, and steps with it.
     """
 
     slices: int = 12
@@ -59,7 +58,7 @@ class BackEndSettings:
     speed_sd: float = 2.0
     depth_sd: float = 1.0
     depths: tuple[float, float] = (0.01, 20.0)
-    lattice_sd_deg: float = 1.0
+    lattice_sd_deg: float = 1.5
     lattice_outlier: float = 20.0
     rotation_cost: float = 1.25
     rotation_slices: int = 6
@@ -69,14 +68,13 @@ class BackEndSettings:
     directions_at: tuple[int, ...] = (4, 6, 8)
     start_speed: float = 0.3
     expected_cost: float = 0.25
-    doubtful_cost: float = 1.4
     least_cost: float = 0.5
     disagreement: float = 0.2
     direction_excess: float = 5.0
     widest_direction_deg: float = 60.0
     steps: int = 8
-    first_steps: int = 12
     rotation_steps: int = 6
+    wide: tuple[float, int] = (6.0, 5)
 
     @property
     def angular_walk(self) -> float:
