@@ -135,8 +135,9 @@ class RememberingEstimator:
         assert adjusted is not None
         covariance = motion.covariance * adjusted.variance_factor(back)
         angular, linear, model = motion.angular, np.zeros(3), MotionModel.ROTATION
-        apart = found.angular - angular
-        covariance[3:, 3:] += back.disagreement * np.outer(apart, apart)
+        apart = float(((found.angular - angular) ** 2).sum())
+        excess = 1 + back.direction_excess * apart / np.trace(motion.covariance[3:, 3:])
+        covariance[3:, 3:] += back.disagreement * apart * np.eye(3)
         by_gyro = found.gyro.state is GyroState.USED
         if by_gyro:
             angular = found.angular
@@ -146,8 +147,7 @@ class RememberingEstimator:
         if adjusted.travels and speed > 0:
             across = np.eye(6)
             linear = motion.linear / speed
-            excess = np.sqrt(back.direction_excess)
-            across[:3, :3] = excess * (np.eye(3) - np.outer(linear, linear)) / speed
+            across[:3, :3] = np.sqrt(excess) * (np.eye(3) - np.outer(linear, linear)) / speed
             covariance = across @ covariance @ across.T
             if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
                 model = MotionModel.FULL

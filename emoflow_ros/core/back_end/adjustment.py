@@ -60,11 +60,8 @@ class Adjusted:
         return 0.5 * float(squares.mean()) / settings.expected_cost
 
     def variance_factor(self, settings: BackEndSettings) -> float:
-        """By how much squared errors exceed the covariance.
-
-        Where many places do not fit, they are wrong together, which robust weights do not know.
-        """
-        return max(self.mean_cost(settings), settings.least_cost) ** 2
+        """By how much squared errors exceed the covariance: where many places do not fit, more."""
+        return max(self.mean_cost(settings), settings.least_cost)
 
 
 def adjust(

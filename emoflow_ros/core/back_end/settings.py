@@ -38,9 +38,9 @@ class BackEndSettings:
         expected_cost: mean robust cost of an observation where the covariance is right.
         least_cost: over that: fewer errors than expected are not believed.
         disagreement: share of the squared difference to the lattice's angular velocity that is
-            added to the covariance.
-        direction_excess: by how much squared errors of the direction of travel exceed its
-            covariance besides: turns and sideways travel that look alike are wrong together.
+            added to the variance about each axis: where both differ, either may be wrong.
+        direction_excess: by how much that difference, squared and over the variance, multiplies
+            the variance of the direction of travel: rotation and sideways travel look alike.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
         steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
         wide: bound like `outlier` that the adjustment of a guess begins with, and steps with it.
@@ -68,9 +68,9 @@ class BackEndSettings:
     directions_at: tuple[int, ...] = (4, 6, 8)
     start_speed: float = 0.3
     expected_cost: float = 0.25
-    least_cost: float = 0.5
+    least_cost: float = 0.6
     disagreement: float = 0.2
-    direction_excess: float = 5.0
+    direction_excess: float = 6.0
     widest_direction_deg: float = 60.0
     steps: int = 8
     rotation_steps: int = 6

@@ -12,6 +12,7 @@ F64 = NDArray[np.float64]
 
 # Share of the larger information below which the smaller one may be chance: an edge.
 EDGE = 0.15
+_NEAR = 0.7  # correlation from which a template lies nearly where it fits
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
@@ -99,13 +100,16 @@ def align(
             _sample(image, x - radius, y - radius, now)
             _sample(along_x, x - radius, y - radius, slope_x)
             _sample(along_y, x - radius, y - radius, slope_y)
-            product, power, tx, ty, jx, jy, p, q, r = _moments(
+            product, power, tx, ty, jx, jy, p, q, r, a, b, c = _moments(
                 template, now, slope_x, slope_y, weights, np.float32(signs[n])
             )
             gain = min(max(product / squares, np.float32(0.05)), np.float32(20))
             e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
             e = e / (total * np.float32(INDEPENDENT * reach * reach))
-            high, low, shown, ux, uy = _axes(gain * p, gain * q, gain * r)
+            if product > _NEAR * math.sqrt(squares * power):
+                high, low, shown, ux, uy = _axes(gain * p, gain * q, gain * r, EDGE)
+            else:  # too far off to share slopes
+                high, low, shown, ux, uy = _axes(a, b, c, 0.0)
             if not high > 0:
                 break
             rx, ry = gain * tx - jx, gain * ty - jy
@@ -163,7 +167,7 @@ def _judge(
                 r += w * ty * jy
     gain = product / squares
     variance = max(power - gain * product, np.float32(1e-6) * power) / total
-    high, low, _, ux, uy = _axes(gain * p, gain * q, gain * r)
+    high, low, _, ux, uy = _axes(gain * p, gain * q, gain * r, EDGE)
     p, r = high * ux * ux + low * uy * uy, high * uy * uy + low * ux * ux
     q = (high - low) * ux * uy
     det = max((a * c - b * b) * variance, np.float32(1e-12))
@@ -177,16 +181,18 @@ def _judge(
 
 
 @_compiled
-def _axes(p: float, q: float, r: float) -> tuple[float, float, float, float, float]:
-    """Principal axes of the shared slopes [p, q; q, r].
+def _axes(
+    p: float, q: float, r: float, chance: float
+) -> tuple[float, float, float, float, float]:
+    """Principal axes of products of slopes [p, q; q, r].
 
     Returns:
-        The larger value; the smaller one less what may be chance; the share of it that is left; and
-        the unit vector (x, y) of the larger one, across an edge.
+        The larger value; the smaller one less a share of the larger one, which may be chance; the
+        share of it that is left; and the unit vector (x, y) of the larger one, across an edge.
     """
     mean, apart = 0.5 * (p + r), math.sqrt((0.5 * (p - r)) ** 2 + q * q)
     high, low = max(mean + apart, 0.0), mean - apart
-    left = max(low - EDGE * high, 0.0)
+    left = max(low - chance * high, 0.0)
     angle = 0.5 * math.atan2(2 * q, p - r)
     return high, left, left / low if left > 0 else 0.0, math.cos(angle), math.sin(angle)
 
@@ -195,11 +201,11 @@ def _axes(p: float, q: float, r: float) -> tuple[float, float, float, float, flo
 def _moments(
     template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, sign: np.float32
 ) -> tuple[np.float32, ...]:
-    """Weighted sums of T J, J J, T Jx, T Jy, J Jx, J Jy and of the shared slopes.
+    """Weighted sums of T J, J J, T Jx, T Jy, J Jx, J Jy, and of slopes: xx, xy and yy of each.
 
-    The latter are the mean of T' J' over both orders: xx, xy and yy.
+    First of the shared ones, the mean of T' J' over both orders, then of J' J'.
     """
-    product = power = tx = ty = jx = jy = p = q = r = np.float32(0)
+    product = power = tx = ty = jx = jy = p = q = r = a = b = c = np.float32(0)
     side = template.shape[0]
     half = np.float32(0.5)
     for i in range(side):
@@ -212,13 +218,16 @@ def _moments(
             ty += wy * t
             jx += wx * value
             jy += wy * value
+            a += wx * slope_x[i, j]
+            b += wx * slope_y[i, j]
+            c += wy * slope_y[i, j]
             if 0 < i < side - 1 and 0 < j < side - 1:
                 sx = half * sign * (template[i, j + 1] - template[i, j - 1])
                 sy = half * sign * (template[i + 1, j] - template[i - 1, j])
                 p += wx * sx
                 q += half * (wy * sx + wx * sy)
                 r += wy * sy
-    return product, power, tx, ty, jx, jy, p, q, r
+    return product, power, tx, ty, jx, jy, p, q, r, a, b, c
 
 
 @_compiled
