@@ -1,7 +1,7 @@
 """Typed configuration: defaults in the dataclasses, profiles in config/, overrides by name.
 
 It holds the options of the gyro, too, and refuses a configuration that needs PyTorch or a CUDA
-device where there is none. Only the published method and CUDA need PyTorch, so it is imported late.
+device where there is none. Only the published method needs PyTorch, so it is imported late.
 """
 
 from collections.abc import Iterator, Mapping
@@ -157,6 +157,11 @@ class Config:
             most = max(most, self.estimator.tracked_events)
         return EventBudget(self.window, most)
 
+    @property
+    def device(self) -> str:
+        """Where the estimator runs; only the published method has a choice."""
+        return "cpu" if isinstance(self.estimator, LatticeConfig) else self.estimator.device
+
     def flat(self) -> dict[str, Any]:
         """All values by dotted name, as written beside every result."""
         return {o.name: o.value for o in options_of(self)}
@@ -245,13 +250,11 @@ def require_torch(config: Config) -> None:
     Raises:
         InputError: it is missing; the line names what asks for it.
     """
-    if find_spec("torch") is not None and find_spec("torchdiffeq") is not None:
+    if isinstance(config.estimator, LatticeConfig):
         return
-    if not isinstance(config.estimator, LatticeConfig):
+    if find_spec("torch") is None or find_spec("torchdiffeq") is None:
         raise InputError(
             "method",
             f"{config.method} (profile {config.profile}) needs PyTorch",
             f"{_INSTALL_TORCH}, or use the method lattice (profile realtime)",
         )
-    if config.estimator.device != "cpu":
-        raise InputError("estimator.device", "CUDA needs PyTorch", f"{_INSTALL_TORCH}, or use cpu")

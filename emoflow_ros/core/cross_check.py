@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core import earlier_scene, second_look
-from emoflow_ros.core.contrast import ContrastFactory
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.doubt import Doubt
 from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes, Recalled
 from emoflow_ros.core.egomotion import NodeEpipolar
@@ -31,7 +31,6 @@ class CrossCheck:
     Args:
         lattice: of the flow.
         epipolar: its constraint.
-        make_contrast: where the contrast is computed.
         config: of the estimator.
     """
 
@@ -39,11 +38,10 @@ class CrossCheck:
         self,
         lattice: Lattice,
         epipolar: NodeEpipolar,
-        make_contrast: ContrastFactory,
         config: LatticeConfig,
     ) -> None:
         scales = {*second_look.SCALES, *earlier_scene.SCALES}
-        contrasts = {scale: make_contrast(lattice, scale) for scale in sorted(scales)}
+        contrasts = {scale: Contrast(lattice, scale) for scale in sorted(scales)}
         self._second_look = SecondLook(lattice, contrasts, config)
         self._scenes = EarlierScenes(lattice, epipolar, contrasts, config)
         self._doubt = Doubt()

@@ -1,23 +1,17 @@
 """Estimators by configuration."""
 
-from functools import partial
-from typing import TYPE_CHECKING
-
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, require_cuda, require_torch
+from emoflow_ros.core.config import Config, require_torch
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
-
-if TYPE_CHECKING:
-    from emoflow_ros.core.contrast import ContrastFactory
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
     """Build the estimator that a configuration asks for.
 
     Windows that hold more events than the estimator uses are thinned first. Only its own libraries
-    are imported: the lattice on the processor needs no torch.
+    are imported: the lattice needs no torch.
 
     Raises:
         InputError: the configuration asks for a device, or for PyTorch, that is not there.
@@ -43,10 +37,9 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.preparation import CleanWindows
     from emoflow_ros.core.second_look import QuickLook
 
-    make_contrast = _choose_contrast(lattice)
-    estimator: Estimator = LatticeEstimator(camera, lattice, make_contrast, config.imu)
+    estimator: Estimator = LatticeEstimator(camera, lattice, config.imu)
     if config.window.max_displacement_px > 0:
-        look = QuickLook(camera, lattice, make_contrast).flow
+        look = QuickLook(camera, lattice).flow
         estimator = MotionWindows(estimator, camera, config.window, look)
     if lattice.memory:
         from emoflow_ros.core.remembering import RememberingEstimator
@@ -56,15 +49,3 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     if lattice.max_doubt < 1:
         estimator = ReliableOnly(estimator, lattice.max_doubt)
     return estimator
-
-
-def _choose_contrast(config: LatticeConfig) -> "ContrastFactory":
-    """Where the contrast is computed."""
-    if config.device == "cpu":
-        from emoflow_ros.core.contrast import Contrast
-
-        return Contrast
-    from emoflow_ros.core.contrast_torch import TorchContrast
-
-    require_cuda()
-    return partial(TorchContrast, device=config.device, capacity=config.max_events)

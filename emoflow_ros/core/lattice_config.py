@@ -64,11 +64,6 @@ class LatticeConfig:
         minimum=0.0,
         maximum=60_000.0,
     )
-    device: str = option(
-        "cpu",
-        "where the contrast is computed; the small systems of equations stay on the processor",
-        choices=("cpu", "cuda"),
-    )
     model: str = option(
         "auto",
         "motion model: decided by the evidence, or fixed",

@@ -95,7 +95,7 @@ class Pipeline:
             nice=options.worker_nice,
         )
         made.callback(self._supervisor.stop)
-        if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
+        if options.on_missing_device == "refuse" and settings.config.device != "cpu":
             self._supervisor.check(settings.config)
         self._outputs = Outputs(node, options, self.statistics, made, present=bool(settings.slices))
         imu = settings.config.imu
@@ -257,7 +257,7 @@ class Pipeline:
         return supervisor.obstacle or self.statistics.load.reason(
             supervisor.busy_s,
             settings.node.output.timeout_s,
-            on_cpu=settings.config.estimator.device == "cpu",
+            on_cpu=settings.config.device == "cpu",
         )
 
     def _wait(self, task: Task) -> None:

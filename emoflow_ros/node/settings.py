@@ -205,8 +205,8 @@ class NodeOptions:
     autostart: bool = option(True, "configure and activate the node without being asked")
     on_missing_device: str = option(
         "cpu",
-        "where estimator.device is cuda and CUDA is missing or lost: estimate on the CPU, or "
-        "refuse to configure and, when lost, try again",
+        "profiles paper*, where estimator.device is cuda and CUDA is missing or lost: estimate on "
+        "the CPU, or refuse to configure and, when lost, try again",
         choices=("cpu", "refuse"),
     )
     worker_nice: int = option(

@@ -215,7 +215,9 @@ class Supervisor:
         self._tell(outcome)
 
     def _configure(self, camera: Camera, config: Config) -> None:
-        used = replace_options(config, {"estimator.device": "cpu"}) if self._on_cpu else config
+        used = config
+        if self._on_cpu and config.device != "cpu":
+            used = replace_options(config, {"estimator.device": "cpu"})
         answer, _ = self._request(
             {"kind": "configure", "camera": asdict(camera), "config": used.flat()},
             {},

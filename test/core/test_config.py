@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,28 @@ def test_the_method_decides_which_options_there_are():
     assert load_config(overrides={"method": "implicit", "estimator.field.layers": 3})
     with pytest.raises(InputError, match=r"estimator\.field\.layers: no such option"):
         load_config(overrides={"estimator.field.layers": 3})
+
+
+@pytest.mark.parametrize("profile", ["realtime", "rigid", "memory"])
+def test_only_the_published_method_has_a_device(profile):
+    assert load_config("paper", {"estimator.device": "cuda"}).device == "cuda"
+    assert load_config(profile).device == "cpu"
+    with pytest.raises(InputError) as refusal:
+        load_config(profile, {"estimator.device": "cuda"})
+    assert str(refusal.value) == (
+        "estimator.device: only the profiles paper* have a device, this one runs on the processor; "
+        "leave it out"
+    )
+
+
+def test_the_default_estimator_loads_no_torch():
+    code = (
+        "import sys; from emoflow_ros.core.factory import *; from emoflow_ros.core.config import *;"
+        "make_estimator(Camera(346, 260, 226.0, 226.0, 173.0, 130.0), Config());"
+        "print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
 
 
 def test_an_empty_file_changes_nothing(tmp_path):

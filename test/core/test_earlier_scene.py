@@ -220,7 +220,7 @@ def disagreement(check: CrossCheck, middle_ms: int = 1000) -> Disagreement:
 
 def checked(second_look_px: float) -> CrossCheck:
     """After one window, which the second look judged so."""
-    check = CrossCheck(LATTICE, EPIPOLAR, Contrast, LatticeConfig())
+    check = CrossCheck(LATTICE, EPIPOLAR, LatticeConfig())
     apart = Disagreement(second_look_px, 5.0)
     check.keep(estimate(800, second_look_px), field(rigid(W, V)), apart)
     return check

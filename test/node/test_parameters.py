@@ -55,6 +55,12 @@ def test_start_values_count_and_whole_numbers_are_fine(make_node: Callable[..., 
         ("window__duration_ms", 0.0, "out of range"),
         ("input__queue_windows", "many", "not of type int"),
         ("profile", "warp", "unknown profile"),
+        (
+            "estimator__device",
+            "cpu",
+            r"^estimator\.device: only the profiles paper\* have a device, this one runs on the "
+            r"processor; leave it out$",
+        ),
         ("output__target_source", "guess", "use one of tf, parameter"),
         ("scale__topic", "my odometry", "is not the name of a topic"),
     ],

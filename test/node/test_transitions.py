@@ -31,13 +31,18 @@ type Break = Callable[[pytest.MonkeyPatch, "Bench"], None]
 class Bench:
     """An unconfigured node without a worker."""
 
-    def __init__(self, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self, context: Context, monkeypatch: pytest.MonkeyPatch, profile: str = "realtime"
+    ) -> None:
         self.supervisors = install_fake_supervisor(monkeypatch)
         self.log: list[str] = []
         self.node = EstimatorNode(
             context=context,
             use_global_arguments=False,
-            parameter_overrides=[Parameter("autostart", value=False)],
+            parameter_overrides=[
+                Parameter("autostart", value=False),
+                Parameter("profile", value=profile),
+            ],
         )
         monkeypatch.setattr(self.node, "get_logger", lambda: self)
         self.before = self.entities()
@@ -116,7 +121,6 @@ def of_node(name: str, number: int = 1) -> Break:
 BAD_INPUT: dict[str, dict[str, Any]] = {
     "calibration": {"camera__calibration_file": "/nowhere.yaml"},
     "tf": {"output__target_frame": "base"},
-    "device": {"on_missing_device": "refuse", "estimator__device": "cuda"},
 }
 CONFIGURING: dict[str, Break] = {
     "supervisor": replaced(pipeline, "Supervisor"),
@@ -148,16 +152,24 @@ def each(breaks: dict[str, Any]) -> Any:
 
 
 @each(BAD_INPUT)
-def test_configuring_with_bad_input_leaves_nothing(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, fail: dict[str, Any]
-) -> None:
-    bench.set(**fail)
-    with monkeypatch.context() as patch:
-        patch.setattr(FakeSupervisor, "check", refused)
-        assert bench.node.trigger_configure() == FAILURE
+def test_configuring_with_bad_input_leaves_nothing(bench: Bench, fail: dict[str, Any]) -> None:
+    assert bench.set(**fail)
+    assert bench.node.trigger_configure() == FAILURE
     assert len(bench.log) == 1
-    assert bench.set(on_missing_device="cpu")
     assert bench.is_as_before()
+
+
+def test_configuring_without_the_device_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    with ros_context() as context:
+        bench = Bench(context, monkeypatch, "paper")
+        assert bench.set(on_missing_device="refuse", estimator__device="cuda")
+        with monkeypatch.context() as patch:
+            patch.setattr(FakeSupervisor, "check", refused)
+            assert bench.node.trigger_configure() == FAILURE
+        assert bench.log == ["it: is bad; mend it"]
+        assert bench.set(on_missing_device="cpu")
+        assert bench.is_as_before()
 
 
 @each(CONFIGURING)

@@ -22,7 +22,7 @@ def compiled():
     return {
         f"{module}.{name}": len(value.signatures)
         for _, module, _ in pkgutil.iter_modules(emoflow_ros.core.__path__)
-        if module not in ("contrast_torch", "device_events", "implicit")
+        if module != "implicit"
         for name, value in vars(import_module(f"emoflow_ros.core.{module}")).items()
         if isinstance(value, Dispatcher)
     }

@@ -11,14 +11,13 @@ from typing import Any
 import pytest
 from supervisor_bench import CAMERA, WAIT_S, Bench, Clumsy
 
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import supervisor
 from emoflow_ros.node.channel import Channel
 
-ON_CUDA = Config(estimator=LatticeConfig(device="cuda"))
+ON_CUDA = load_config("paper", {"estimator.device": "cuda"})
 
 
 def test_out_of_memory_costs_the_window_and_the_worker(bench: Callable[..., Bench]) -> None:
