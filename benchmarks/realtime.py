@@ -36,14 +36,14 @@ from benchmarks.paper import CONTRAST_ONLY as PAPER_CONTRAST_ONLY
 from benchmarks.paper import ITERATIONS as PAPER_ITERATIONS
 from benchmarks.paper import time_iterations as time_paper_loop
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import NS_PER_S, Window, WindowPolicy, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.truth import Truth
 

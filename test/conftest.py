@@ -41,7 +41,7 @@ sys.path.insert(0, str(ROOT / "test" / "recordings"))
 pytest_plugins = ["recording_fixtures"]
 
 _COMPILE = """
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.worker import _Worker
 _Worker(make_estimator)._warm_up()
 """

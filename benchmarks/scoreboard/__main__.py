@@ -20,7 +20,7 @@ from benchmarks.scoreboard.subjects import SHARED_DATA, Subject, shared_subjects
 from benchmarks.scoreboard.summary import summarise
 from benchmarks.scoreboard.table import table
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.recording_options import (
     add_configuration_options,

@@ -21,7 +21,7 @@ from benchmarks.scoreboard.simulated_subjects import RandomSubject, SceneSubject
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros import __version__
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 
 FILE = Path(__file__).with_name("gates.yaml")
 MARGIN = 0.25

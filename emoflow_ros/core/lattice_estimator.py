@@ -10,7 +10,6 @@ from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.belief import KnownRotation, MotionPrior
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.confinement import is_confined
 from emoflow_ros.core.contrast import contrast_gain
 from emoflow_ros.core.cross_check import CrossCheck
@@ -18,6 +17,7 @@ from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig

@@ -1,6 +1,6 @@
 """All parameters as typed options with unit, range and meaning.
 
-The node's own options are here, those of the estimation in `core.config`; `Settings` holds both.
+The node's own options are here, those of the estimation in `config`; `Settings` holds both.
 """
 
 import math
@@ -12,8 +12,8 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.events import (
     NS_PER_S,
     SLICE_BIN_NS,

@@ -23,8 +23,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros import compiled_code
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings

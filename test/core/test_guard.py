@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import WindowSlicer
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.sensor import SensorModel
 

@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_paths import CAMERA, MS, PER_PX, START, ExactEstimator, Path, policy
 
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.doubt import ReliableOnly
 from emoflow_ros.core.events import NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
 from emoflow_ros.core.preparation import CleanWindows
+from emoflow_ros.factory import make_estimator
 
 
 def run(path: Path, policy: WindowPolicy, fails=lambda k: False, look=None) -> list[Window]:

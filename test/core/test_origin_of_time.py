@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.bounded_windows import RateLimitedSlicer
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 CONFIG = load_config("realtime", {"estimator.max_events": 6000, "estimator.max_doubt": 1.0})

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from present_runs import LATE_NS, Run, degrees, last, run
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, fit_shape
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.core.reading import with_gyro as gyro_tells
+from emoflow_ros.factory import make_estimator
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import MotionModel
 from emoflow_ros.core.events import NS_PER_MS, Events, Window

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import ablation
@@ -13,9 +13,9 @@ from emoflow_ros.evaluation.ablation import (
     Ablation,
     ColdStarts,
     Row,
-    table_of,
     variants_of,
 )
+from emoflow_ros.report.ablation_table import table_of
 
 TINY = (
     "estimator.max_events=2000",

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from emoflow_ros.core.config import load_config
-from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.commands import evaluate as evaluate_command
+from emoflow_ros.commands import label as label_command
+from emoflow_ros.config import load_config
 from emoflow_ros.evaluation.recording_options import overrides
-from emoflow_ros.labels import label_command
 
 MOST = "window.max_displacement_px"
 

@@ -17,10 +17,10 @@ from synthetic import (
     write_odom_npz,
 )
 
+from emoflow_ros.commands.evaluate import main
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
 from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES, BenchmarkSequence
-from emoflow_ros.evaluation.evaluate_command import main
 from emoflow_ros.evaluation.protocols import make_plan
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.summary import summarise, summarise_by_truth

@@ -5,11 +5,11 @@ import time
 import pytest
 
 from benchmarks.offline import figures, row, table
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.events import WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.window_run import evaluate
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.recording import davis346, simulate
 from emoflow_ros.simulation.recording_files import OutputPaths, write_recording

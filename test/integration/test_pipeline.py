@@ -26,7 +26,7 @@ from emoflow_ros.simulation.simulated_truth import ImuModel, simulate_imu
 pytestmark = pytest.mark.dds
 
 REPLAY = (sys.executable, "-m", "emoflow_ros.commands.replay")
-EVALUATE = "import sys; from emoflow_ros.evaluation.evaluate_command import main; sys.exit(main())"
+EVALUATE = "import sys; from emoflow_ros.commands.evaluate import main; sys.exit(main())"
 RATE = "0.5"
 TOLERANCE = 1e-6  # rad/s and of a unit vector: the node's twists are the offline ones
 # A window waits 8 ms for the readings at its end, and the IMU is best effort: on a busy machine

@@ -12,8 +12,8 @@ import numba
 import numpy as np
 import psutil
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro

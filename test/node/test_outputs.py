@@ -11,8 +11,8 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
 
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Statistics

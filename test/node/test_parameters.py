@@ -9,7 +9,7 @@ from parameter_bench import Atomic, declare, parameter_nodes
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.parameters import Change, changes
 from emoflow_ros.node.settings import NodeOptions, Settings, table

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from supervisor_bench import CAMERA, WAIT_S, Bench, Clumsy
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import supervisor

@@ -8,9 +8,9 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from pipeline_bench import PipelineBench
 
-from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.settings import Settings
+from emoflow_ros.published.implicit_config import ImplicitConfig
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from torch import Tensor
 from emoflow_ros.core import camera_motion
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import basis
-from emoflow_ros.core.implicit import losses
-from emoflow_ros.core.implicit.field import MotionSpline
+from emoflow_ros.published import losses
+from emoflow_ros.published.field import MotionSpline
 
 Array = NDArray[np.float64]
 

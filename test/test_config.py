@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError
+from emoflow_ros.published.implicit_config import ImplicitConfig
 
 PROFILES = {
-    path.stem: path for path in (Path(__file__).resolve().parents[2] / "config").glob("*.yaml")
+    path.stem: path for path in (Path(__file__).resolve().parents[1] / "config").glob("*.yaml")
 }
 
 
@@ -83,7 +83,7 @@ def test_only_the_published_method_has_a_device(profile):
 
 def test_the_default_estimator_loads_no_torch():
     code = (
-        "import sys; from emoflow_ros.core.factory import *; from emoflow_ros.core.config import *;"
+        "import sys; from emoflow_ros.factory import *; from emoflow_ros.config import *;"
         "make_estimator(Camera(346, 260, 226.0, 226.0, 173.0, 130.0), Config());"
         "print('torch' in sys.modules)"
     )

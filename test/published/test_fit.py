@@ -8,18 +8,18 @@ import pytest
 import torch
 from torch import Tensor
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
-from emoflow_ros.core.implicit import fit as loop
-from emoflow_ros.core.implicit.fit import Fit, Problem, fit
-from emoflow_ros.core.implicit.implicit_config import (
+from emoflow_ros.published import fit as loop
+from emoflow_ros.published.fit import Fit, Problem, fit
+from emoflow_ros.published.implicit_config import (
     EarlyStopConfig,
     FieldConfig,
     ImplicitConfig,
     LossConfig,
     OptimizerConfig,
 )
-from emoflow_ros.core.implicit.losses import PixelMaps, smoothness_loss
+from emoflow_ros.published.losses import PixelMaps, smoothness_loss
 
 DURATION = 0.09
 CONFIG = ImplicitConfig(

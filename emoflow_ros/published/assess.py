@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera_motion import basis, cheirality, motion_matrices
 from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.implicit import losses
-from emoflow_ros.core.implicit.field import warp
-from emoflow_ros.core.implicit.fit import Fit, Problem
-from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
+from emoflow_ros.published import losses
+from emoflow_ros.published.field import warp
+from emoflow_ros.published.fit import Fit, Problem
+from emoflow_ros.published.implicit_config import ImplicitConfig
 
 Array = NDArray[np.float64]
 

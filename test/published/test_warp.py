@@ -5,10 +5,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from emoflow_ros.core.implicit.field import CoordinateMLP, warp
-from emoflow_ros.core.implicit.implicit_config import FieldConfig, WarpConfig
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
+from emoflow_ros.published.field import CoordinateMLP, warp
+from emoflow_ros.published.implicit_config import FieldConfig, WarpConfig
 
 CENTRE = torch.tensor([40.0, 30.0], dtype=torch.float64)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from emoflow_ros import cli
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import find_sequence
 from emoflow_ros.evaluation.recording_options import (

@@ -14,14 +14,14 @@ from torch import Tensor
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.config import require_cuda
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_S, Events, Window
-from emoflow_ros.core.implicit.assess import assess
-from emoflow_ros.core.implicit.field import CoordinateMLP, warp
-from emoflow_ros.core.implicit.fit import Problem, fit
-from emoflow_ros.core.implicit.implicit_config import ImplicitConfig, WarpConfig
-from emoflow_ros.core.implicit.losses import PixelMaps
+from emoflow_ros.errors import InputError
+from emoflow_ros.published.assess import assess
+from emoflow_ros.published.field import CoordinateMLP, warp
+from emoflow_ros.published.fit import Problem, fit
+from emoflow_ros.published.implicit_config import ImplicitConfig, WarpConfig
+from emoflow_ros.published.losses import PixelMaps
 
 # Points per evaluation: bounds the memory that the hidden layers take.
 _BATCH = 16_384
@@ -43,7 +43,7 @@ class ImplicitEstimator:
 
     def __init__(self, camera: Camera, config: ImplicitConfig) -> None:
         if config.device == "cuda":
-            require_cuda()
+            _require_cuda()
         self._camera = camera
         self._config = config
         self._maps = PixelMaps.of(camera, config.device)
@@ -116,6 +116,14 @@ class ImplicitEstimator:
             x=torch.tensor(pixels, dtype=torch.float32, device=self._config.device),
             duration=window.duration,
             maps=self._maps,
+        )
+
+
+def _require_cuda() -> None:
+    """Refuse a machine without a CUDA device, or with one that torch cannot use."""
+    if not torch.cuda.is_available():
+        raise InputError(
+            "estimator.device", "no CUDA device was found", "use cpu, or check the driver"
         )
 
 

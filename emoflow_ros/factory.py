@@ -1,8 +1,8 @@
-"""Estimators by configuration."""
+"""Estimators by configuration: the one place that knows both of `core` and of `published`."""
 
+from emoflow_ros.config import Config, require_torch
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, require_torch
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.lattice_config import LatticeConfig
 
@@ -20,7 +20,7 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
     if isinstance(config.estimator, LatticeConfig):
         estimator = _make_lattice_estimator(camera, config, config.estimator)
     else:
-        from emoflow_ros.core.implicit.estimator import ImplicitEstimator
+        from emoflow_ros.published.estimator import ImplicitEstimator
 
         estimator = ImplicitEstimator(camera, config.estimator)
         if config.window.max_displacement_px > 0:

@@ -9,11 +9,12 @@ from emoflow_ros.core import camera_motion
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.implicit.assess import assess
-from emoflow_ros.core.implicit.estimator import ImplicitEstimator
-from emoflow_ros.core.implicit.field import MotionSpline
-from emoflow_ros.core.implicit.fit import Fit, Problem
-from emoflow_ros.core.implicit.implicit_config import (
+from emoflow_ros.errors import InputError
+from emoflow_ros.published.assess import assess
+from emoflow_ros.published.estimator import ImplicitEstimator
+from emoflow_ros.published.field import MotionSpline
+from emoflow_ros.published.fit import Fit, Problem
+from emoflow_ros.published.implicit_config import (
     EarlyStopConfig,
     FieldConfig,
     ImplicitConfig,
@@ -21,8 +22,7 @@ from emoflow_ros.core.implicit.implicit_config import (
     OptimizerConfig,
     WarpConfig,
 )
-from emoflow_ros.core.implicit.losses import PixelMaps
-from emoflow_ros.errors import InputError
+from emoflow_ros.published.losses import PixelMaps
 
 START = 1_500_000_000_000_000_000  # a realistic epoch, where float32 seconds would fail
 DURATION = 100_000_000

@@ -2,5 +2,5 @@
 
 Reference: "E-MoFlow: Learning Egomotion and Optical Flow from Event Data via Implicit
 Regularization", NeurIPS 2025, arXiv 2510.12753. This file imports nothing, so that
-`emoflow_ros.core.implicit.implicit_config` costs no torch.
+`emoflow_ros.published.implicit_config` costs no torch.
 """

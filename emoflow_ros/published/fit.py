@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
 from emoflow_ros.core.camera_motion import basis
-from emoflow_ros.core.implicit import losses
-from emoflow_ros.core.implicit.field import CoordinateMLP, MotionSpline, warp
-from emoflow_ros.core.implicit.implicit_config import (
+from emoflow_ros.published import losses
+from emoflow_ros.published.field import CoordinateMLP, MotionSpline, warp
+from emoflow_ros.published.implicit_config import (
     EarlyStopConfig,
     ImplicitConfig,
     OptimizerConfig,

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from emoflow_ros import cli
+from emoflow_ros.commands import compare
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation import run_comparison
-from emoflow_ros.evaluation.ablation import ABLATIONS, ablate, table_of, variants_of
+from emoflow_ros.evaluation.ablation import ABLATIONS, ablate, variants_of
 from emoflow_ros.evaluation.benchmark_sequences import find_sequence
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.gyro_check import check_lines
@@ -45,8 +44,10 @@ from emoflow_ros.evaluation.recording_options import (
 from emoflow_ros.evaluation.run_progress import Checkpoint, Progress
 from emoflow_ros.evaluation.track_errors import TrackComparer
 from emoflow_ros.evaluation.window_run import Evaluation, proceed
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.readers import KNOWN_FORMATS, require_camera
 from emoflow_ros.readers.column_arguments import column_options
+from emoflow_ros.report.ablation_table import table_of
 from emoflow_ros.report.report_writer import Report, write_report
 from emoflow_ros.truth import load_truth
 from emoflow_ros.truth.dsec_flow import Submission
@@ -77,7 +78,7 @@ def main() -> int:
     """Entry point."""
     arguments = sys.argv[1:]
     if arguments[:1] == ["compare"]:
-        return cli.run(lambda: run_comparison.main(arguments[1:]))
+        return cli.run(lambda: compare.main(arguments[1:]))
     return cli.run(lambda: _run(parse(arguments)))
 
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torchdiffeq import odeint, odeint_adjoint
 
 from emoflow_ros.core.camera_motion import CONTROL_POINTS
-from emoflow_ros.core.implicit.implicit_config import FIXED_SOLVERS, FieldConfig, WarpConfig
+from emoflow_ros.published.implicit_config import FIXED_SOLVERS, FieldConfig, WarpConfig
 
 
 class CoordinateMLP(nn.Module):

@@ -2,9 +2,9 @@ from typing import Any
 
 import pytest
 
-from emoflow_ros.core.config import load_config
-from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
+from emoflow_ros.config import load_config
 from emoflow_ros.core.options import options_of, replace_options
+from emoflow_ros.published.implicit_config import ImplicitConfig
 
 
 def load(profile: str) -> ImplicitConfig:

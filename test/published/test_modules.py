@@ -5,16 +5,16 @@ import pytest
 import torch
 
 from emoflow_ros.core.camera_motion import SplineMotion, basis
-from emoflow_ros.core.implicit.field import CoordinateMLP, MotionSpline
-from emoflow_ros.core.implicit.fit import EarlyStopping, field_rate, make_optimizer
-from emoflow_ros.core.implicit.implicit_config import (
+from emoflow_ros.errors import InputError
+from emoflow_ros.published.field import CoordinateMLP, MotionSpline
+from emoflow_ros.published.fit import EarlyStopping, field_rate, make_optimizer
+from emoflow_ros.published.implicit_config import (
     EarlyStopConfig,
     FieldConfig,
     ImplicitConfig,
     LossConfig,
     OptimizerConfig,
 )
-from emoflow_ros.errors import InputError
 
 
 def make_field(config: FieldConfig, seed: int = 0) -> CoordinateMLP:
