@@ -49,6 +49,7 @@ class WindowResult:
         other_truths: the velocity that each of Truth.other_twists says.
         pose: true world-from-camera (4, 4) at the window's middle, where known.
         gyro: whether a gyro took part, and if not, why: a GyroStatus in words.
+        relative_speed: the camera's, up to one factor for the recording; NaN where unknown.
     """
 
     index: int
@@ -69,6 +70,7 @@ class WindowResult:
     other_truths: tuple[TrueTwist | None, ...] = ()
     pose: NDArray[np.float64] | None = None
     gyro: str = ""
+    relative_speed: float = float("nan")
 
     @property
     def t(self) -> int:
