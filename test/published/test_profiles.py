@@ -23,19 +23,8 @@ def test_the_defaults_are_the_paper_profile() -> None:
 
 
 def test_early_stopping_is_all_that_its_profile_changes() -> None:
-    assert changes(load("paper_early_stop"), load("paper")) == {"early_stop.patience": 45}
-
-
-def test_dsec_differs_as_published() -> None:
-    assert changes(load("paper_dsec"), load("paper")) == {
-        "field.octaves": 6,
-        "loss.smoothness_weight": 0.15,
-        "optimizer.algorithm": "adamw",
-        "optimizer.schedule": "cosine",
-        "optimizer.field_rate": 2e-3,
-        "optimizer.final_field_rate": 2e-5,
-        "optimizer.warmup": 100,
-    }
+    assert changes(load("paper_early_stop"), load("paper")).keys() == {"early_stop.patience"}
+    assert load("paper").early_stop.patience == 0 < load("paper_early_stop").early_stop.patience
 
 
 @pytest.mark.parametrize("option", list(options_of(ImplicitConfig())), ids=lambda o: o.name)
