@@ -157,7 +157,7 @@ def test_calibration_of_another_size_is_said_while_messages_come(
     peer.spin_until(lambda: peer.status()["wrong_size_messages"] != "0", "the count")
     before = len(peer.diagnostics)
     run_windows(peer, 1105, 1501, pause_s=0.01)
-    peer.spin_until(lambda: "nothing to use for" in peer.status()["message"], "the reason", 2.0)
+    peer.spin_until(lambda: "nothing to use for" in peer.status()["message"], "the reason")
     reason = "messages of another sensor size: give this sensor's calibration"
     assert reason in peer.status()["message"]
     assert peer.diagnostics[-1].status[0].level == b"\x02"

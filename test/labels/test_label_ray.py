@@ -73,7 +73,6 @@ class Killer(threading.Thread):
         self.join()
 
 
-@pytest.mark.timeout(300)
 def test_labels_are_the_same_although_a_worker_is_killed(monkeypatch, tmp_path, calm_bag, cluster):
     monkeypatch.setattr("sys.argv", ["label", *arguments(calm_bag, tmp_path / "serial")])
     assert label_command.main() == 0

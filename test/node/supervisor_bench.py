@@ -12,7 +12,7 @@ from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Progress, Result, Task, Wishes
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
-WAIT_S = 60.0
+WAIT_S = 600.0  # only what hangs takes so long, also on a busy machine
 
 
 def next_outcome(supervisor: Supervisor) -> Outcome:
