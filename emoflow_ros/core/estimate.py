@@ -24,7 +24,6 @@ class Status(StrEnum):
     OK = "ok"
     TOO_FEW_EVENTS = "too_few_events"
     NO_MOTION = "no_motion"  # the events do not move together, as with a camera at rest
-    UNCERTAIN = "uncertain"  # an estimate that is too likely wrong
     DIVERGED = "diverged"
 
 
@@ -84,7 +83,6 @@ class Quality:
             px of the working image (core.second_look). NaN where not known.
         earlier_px: how far the flow by an earlier window's scene lies from this one, in px of the
             working image (core.earlier_scene). NaN where not known.
-        doubt: probability that the estimate is wrong (core.doubt); NaN where not known.
     """
 
     events: int
@@ -98,7 +96,6 @@ class Quality:
     change_px: float = float("nan")
     second_look_px: float = float("nan")
     earlier_px: float = float("nan")
-    doubt: float = float("nan")
 
 
 def _unknown_covariance() -> NDArray[np.float64]:
@@ -121,8 +118,8 @@ class Estimate:
         angular: (3,) rad/s in the camera's optical frame.
         covariance: (6, 6) of (linear, angular), the order of ROS twists; [0, 0] is -1
             where translation is not observable (REP-145's idiom).
-        flow: the flow field; None unless the status is OK. With a gyro it is None, too, where it is
-            doubtful (core.doubt) and where the events gave nothing.
+        flow: the flow field; None unless the status is OK. With a gyro it is None, too, where the
+            events gave nothing.
         motion: the egomotion over the window; None unless the status is OK.
         quality: the record behind the status.
         gyro: whether a gyro took part.

@@ -37,7 +37,6 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
 
 
 def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
-    from emoflow_ros.core.doubt import ReliableOnly
     from emoflow_ros.core.lattice_estimator import LatticeEstimator
     from emoflow_ros.core.motion_windows import MotionWindows
     from emoflow_ros.core.preparation import CleanWindows
@@ -52,10 +51,7 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
         from emoflow_ros.core.remembering import RememberingEstimator
 
         estimator = RememberingEstimator(estimator, camera)
-    estimator = CleanWindows(estimator, camera)
-    if lattice.max_doubt < 1:
-        estimator = ReliableOnly(estimator, lattice.max_doubt)
-    return estimator
+    return CleanWindows(estimator, camera)
 
 
 def _choose_contrast(config: LatticeConfig) -> "ContrastFactory":

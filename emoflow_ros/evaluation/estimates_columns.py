@@ -52,7 +52,6 @@ QUALITY = {
     "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
     "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
     "inlier_fraction": Column((), "f8", "1", "share of the residuals within 3 robust scales"),
-    "doubt": Column((), "f8", "1", "probability that the flow or, without a gyro, w or v is wrong"),
     "warm": Column((), "?", "", "whether the window before was the start"),
     "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
 }
@@ -101,7 +100,6 @@ def quality_values(
         "contrast_gain": quality.contrast_gain,
         "residual_px": quality.residual_px,
         "inlier_fraction": quality.inlier_fraction,
-        "doubt": quality.doubt,
         "warm": quality.warm,
         "runtime_s": quality.runtime_s,
     }

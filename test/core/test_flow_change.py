@@ -12,7 +12,7 @@ from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording
 from emoflow_ros.simulation.simulate import simulate
 
-CONFIG = load_config(overrides={"estimator.max_doubt": 1.0})  # withholds no window
+CONFIG = load_config()
 
 
 @cache

@@ -48,9 +48,8 @@ def test_noise_all_over_the_image_does_not_hide_the_camera_s_rest():
 
 
 def test_an_object_before_a_moving_camera_does_not_stop_the_estimate():
-    assert all(estimate.status is Status.OK for estimate in estimates("mover", 0, max_doubt=1.0))
+    assert all(estimate.status is Status.OK for estimate in estimates("mover", 0))
 
 
 def test_a_fixed_model_says_that_the_camera_moves():
-    fixed = {"model": "full", "max_doubt": 1.0}
-    assert all(e.status is Status.OK for e in estimates("bystander", 0, **fixed))
+    assert all(e.status is Status.OK for e in estimates("bystander", 0, model="full"))

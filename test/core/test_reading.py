@@ -46,7 +46,7 @@ def test_the_spread_of_v_counts_more_with_a_gyro(reader, known, counts):
     free = FreeFlow(np.zeros((0, 2)), np.zeros((0, 2, 2)), known)
 
     def variance() -> float:
-        found = reader.believe(WINDOW, free, MotionModel.FULL, Disagreement(1.0, 5.0))
+        found = reader.believe(WINDOW, free, MotionModel.FULL, Disagreement(1.0))
         return float(ACROSS @ found.covariance[3:, 3:] @ ACROSS)
 
     alone = variance()

@@ -76,6 +76,9 @@ def result(start_ms: int = 1000, pictures: Any = None, **changes: Any) -> Result
     return Result(task, estimate, pictures or {})
 
 
+WIDE_NOW = PresentTwist(Twist(1, np.array([0.0, 0.6, 0.8]), np.array([4.0, 1.0, 8.0])), np.eye(6))
+
+
 def vector(v: Any) -> list[float]:
     return [v.x, v.y, v.z]
 
@@ -213,6 +216,31 @@ def test_twists_are_withheld_without_a_transform(
     assert tf.listening == 0
 
 
+def test_a_twist_that_is_wider_than_the_user_wants_is_held_back(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench(present=True, output__max_angular_sd=10.0, output__max_direction_sd=20.0)
+    degree = np.radians(1.0) ** 2
+    narrow = np.diag([300.0, 300.0, 0.0, 90.0, 90.0, 90.0]) * degree
+    b.publish(covariance=narrow)
+    assert b.status()[:2] == (b"\x00", "ok")
+    wide = np.diag([300.0, 300.0, 0.0, 90.0, 90.0, 110.0]) * degree
+    b.publish(1010, covariance=wide)
+    b.outputs.publish_present(replace(present(100), found=replace(WIDE_NOW, covariance=wide)))
+    assert b.status()[:2] == (b"\x00", "ok; held back: wider than output.max_angular_sd")
+    assert len(b.node.messages("egomotion/twist_with_covariance")) == 1
+    assert b.node.messages("egomotion/twist_now") == []
+    vague = np.diag([300.0, 500.0, 0.0, 90.0, 90.0, 90.0]) * degree
+    b.publish(1020, covariance=vague)
+    b.outputs.publish_present(replace(present(130), found=replace(WIDE_NOW, covariance=vague)))
+    assert b.status()[1] == "ok; direction held back: wider than output.max_direction_sd"
+    for topic in ("twist_with_covariance", "twist_now"):
+        twist = b.last(topic).twist
+        assert vector(twist.twist.linear) == [0.0, 0.0, 0.0]
+        assert vector(twist.twist.angular) == [4.0, 1.0, 8.0]
+        np.testing.assert_allclose(np.diag(np.reshape(twist.covariance, (6, 6)))[:3], 1e6)
+
+
 def test_only_twists_that_are_published_count_as_given(
     bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,7 +252,7 @@ def test_only_twists_that_are_published_count_as_given(
     b.outputs.publish_present(present(100))
     assert given == []
     tf.known = True
-    b.publish(1010, status=Status.UNCERTAIN)
+    b.publish(1010, status=Status.NO_MOTION)
     assert given == []
     for t_ms in (120, 110):  # the second one is not the newest
         b.outputs.publish_present(present(t_ms))

@@ -62,12 +62,6 @@ def test_pure_rotation_is_named(task: Task) -> None:
     assert report.values["translation_observable"] == "false"
 
 
-def test_a_flow_that_is_withheld_is_named(task: Task) -> None:
-    report = judge_result(replace(answer(task, Status.OK), has_flow=False), now=0)
-    assert (report.level, report.message) == (Level.OK, "ok, flow withheld")
-    assert report.values["flow"] == "false"
-
-
 @pytest.mark.parametrize(("reason", "level"), [
     (Status.NO_MOTION, Level.WARN), (Status.DIVERGED, Level.ERROR),
 ])  # fmt: skip
