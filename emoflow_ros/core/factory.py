@@ -41,6 +41,7 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.motion_windows import MotionWindows
     from emoflow_ros.core.preparation import CleanWindows
     from emoflow_ros.core.second_look import QuickLook
+    from emoflow_ros.core.stream import ContinuousEstimator
 
     make_contrast = _choose_contrast(lattice)
     estimator: Estimator = LatticeEstimator(camera, lattice, make_contrast, config.imu)
@@ -51,6 +52,7 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
         from emoflow_ros.core.remembering import RememberingEstimator
 
         estimator = RememberingEstimator(estimator, camera)
+    estimator = ContinuousEstimator(estimator, camera, lattice)
     return CleanWindows(estimator, camera)
 
 

@@ -70,7 +70,7 @@ COLUMNS = {
         "z forward); zeros where not observable",
     ),
     "angular": Column(
-        (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN unless status is ok"
+        (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN where status tells none"
     ),
     "covariance": Column(
         (6, 6),
@@ -78,7 +78,7 @@ COLUMNS = {
         "1, rad/s",
         "of (linear, angular); [0, 0] is -1 where translation is not observable",
     ),
-    "status": Column((), TEXT, "", "ok, or why there is no estimate"),
+    "status": Column((), TEXT, "", "ok, still, carried, bounded, or why there is no motion"),
     "model": Column((), TEXT, "", "full, rotation, translation or static"),
     **QUALITY,
 }

@@ -9,6 +9,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.wide import why_wide
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.diagnostics_topic import to_status
 from emoflow_ros.node.picture_output import PictureOutput
@@ -22,6 +23,10 @@ from emoflow_ros.node.twist_output import HeldBack, TwistOutput, make_publisher
 
 _LEVELS = {
     Status.OK: Level.OK,
+    Status.STILL: Level.OK,
+    Status.CARRIED: Level.WARN,
+    Status.BOUNDED: Level.WARN,
+    Status.LOST: Level.WARN,
     Status.TOO_FEW_EVENTS: Level.WARN,
     Status.NO_MOTION: Level.WARN,
     Status.DIVERGED: Level.ERROR,
@@ -72,7 +77,7 @@ class Outputs:
         """Publish a window's status, and its estimate if there is one."""
         scaling = self._scale.at(result.stamp)
         problems, notes = {"scale": scaling.problem}, []
-        if result.estimate.status is Status.OK:
+        if result.estimate.told:
             # Pictures first: under load twists sent before a flow image, which is larger than Fast
             # DDS's shared memory (512 KiB), came seconds late or never.
             self._pictures.publish(result)
@@ -156,6 +161,8 @@ def judge_result(
     }
     common = _window_values(result.stamp, now, str(estimate.status), quality.events)
     level = max(_LEVELS[estimate.by_events], Level.WARN if problems else Level.OK)
+    if quality.stop_reason == Status.DIVERGED:
+        level = Level.ERROR
     words = [_estimate_message(result), *problems, *filter(None, notes)]
     return Report(level, "; ".join(words), common | values)
 
@@ -171,12 +178,16 @@ def judge_failed(task: Task, reason: str, now: int) -> Report:
 
 
 def _estimate_message(result: Result) -> str:
+    """Say where the motion comes from, what is missing, and in one word why it is wide."""
     estimate = result.estimate
     words = [str(estimate.status)]
-    if estimate.status is Status.OK and not estimate.translation_observable:
+    moves = estimate.told and estimate.status is not Status.STILL
+    if moves and not estimate.translation_observable:
         words.append("translation not observable")
     if estimate.by_events is not estimate.status:
         words.append(f"by the gyro alone: {estimate.by_events}")
+    elif why := why_wide(estimate):
+        words.append(f"wide: {why}")
     return ", ".join(words)
 
 

@@ -24,6 +24,8 @@ _WITHOUT_TWIST = {
     Status.NO_MOTION: "show no motion: the camera is at rest, or the image moves too little for "
     "windows of this length",
     Status.DIVERGED: "diverged: check the calibration, or give longer windows",
+    Status.LOST: "are lost, half a second after the last measurement ({detail}): show the camera "
+    "more texture or motion",
     DROPPED: "were dropped: {detail}",
     FAILED: "failed: {detail}",
     HELD_BACK: "are less sure than output.max_angular_sd: raise it, or 0 holds none back",

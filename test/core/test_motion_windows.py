@@ -17,6 +17,7 @@ from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
 from emoflow_ros.core.preparation import CleanWindows
+from emoflow_ros.core.stream import ContinuousEstimator
 
 
 def run(path: Path, policy: WindowPolicy, fails=lambda k: False, look=None) -> list[Window]:
@@ -231,8 +232,8 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
 
 def test_windows_are_taken_whole_unless_a_bound_is_set():
     whole = load_config(overrides={"window.max_displacement_px": 0.0})
-    assert layers(whole) == [BoundedWindows, CleanWindows, LatticeEstimator]
-    by_motion = [BoundedWindows, CleanWindows, MotionWindows, LatticeEstimator]
+    assert layers(whole) == [BoundedWindows, CleanWindows, ContinuousEstimator, LatticeEstimator]
+    by_motion = [BoundedWindows, CleanWindows, ContinuousEstimator, MotionWindows, LatticeEstimator]
     assert layers(load_config()) == by_motion
 
 

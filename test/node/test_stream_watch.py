@@ -82,6 +82,10 @@ def play(statistics: Statistics, clock: Clock, seconds: float, *windows: Result)
     [
         (Status.NO_MOTION, "show no motion: the camera is at rest, or the image moves too little"),
         (Status.TOO_FEW_EVENTS, "hold too few events: the camera is at rest, or estimator.min_e"),
+        (
+            Status.LOST,
+            "are lost, half a second after the last measurement (converged): show the ca",
+        ),
         (Status.DIVERGED, "diverged: check the calibration, or give longer windows"),
     ],
 )
