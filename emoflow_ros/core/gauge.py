@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 _BLOCK_PX = 8  # side of a block, px of the working image
 _WAY_PX = 4.0  # that a scene is gauged over: a longer one would leave its block
+_LONGEST_PX = 6.0  # way of a window from which only its latest part counts
 _SHORTEST_PX = 0.5  # a shorter one tells too little
 _GRID_PX = 16  # distance between the points whose speed counts, px of the sensor
 _STEP_NS = NS_PER_MS  # over which the speed is taken
@@ -88,10 +89,18 @@ class Gauge:
         return replace(self, per_px=(self.per_px * earlier.per_px) ** 0.5)
 
     def speed(self, window: Window) -> float | None:
-        """How fast the image moves at most, px/s of the working image; None with too few events."""
+        """How fast the image moves at most, px/s of the working image; None with too few events.
+
+        Of fast motion only the latest part counts: on a longer way events leave their blocks.
+        """
         if window.events.came < _FEWEST:
             return None
         way = scatter(window.events, self.camera, surely=False) / self.per_px
+        if way > _LONGEST_PX:
+            latest = round(window.duration * NS_PER_S * _WAY_PX / way)
+            later = self.speed(window.since(window.t_end - latest))
+            if later is not None:
+                return later
         return max(way / window.duration, _LEAST_PX_S)
 
     def rotation_covariance(self, speed: float) -> Array:

@@ -24,6 +24,7 @@ from emoflow_ros.core.camera_motion import CONTROL_POINTS, SplineMotion
 from emoflow_ros.core.estimate import Estimate, Estimator, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.gauge import REST_PX_S, Gauge, covered, structured
+from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_prior import Known, carried
 from emoflow_ros.core.uncertainty import without_travel
@@ -111,8 +112,7 @@ class ContinuousEstimator:
         passed = window.duration if state.end is None else (window.t_end - state.end) / NS_PER_S
         state = replace(state, end=window.t_end)
         if self._light_changes(state, window):
-            state = replace(state, gauge=None, dark=True)
-            found = replace(found, flow=None, status=Status.NO_MOTION)
+            state, found = replace(state, gauge=None, dark=True), _disbelieved(found)
         if found.status is not Status.OK:
             return self._unmeasured(*self._bounded(state, window, passed), window, found)
         if found.by_events is not Status.OK:
@@ -210,6 +210,21 @@ class ContinuousEstimator:
         if min(on, 1 - on) > _ONE_SIDED or abs(on - state.on) < _APART:
             return False
         return covered(events, self._camera) > _COVERED
+
+
+def _disbelieved(found: Estimate) -> Estimate:
+    """Return a window without what its events told; a gyro's angular velocity stays."""
+    if found.gyro.state is not GyroState.USED:
+        status = Status.NO_MOTION if found.status is Status.OK else found.status
+        return replace(found, flow=None, status=status)
+    return replace(
+        found,
+        flow=None,
+        model=MotionModel.ROTATION,
+        linear=np.zeros(3),
+        covariance=without_travel(found.covariance),
+        quality=replace(found.quality, stop_reason=str(Status.NO_MOTION)),
+    )
 
 
 def _fullest(window: Window) -> Events:

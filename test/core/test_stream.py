@@ -109,6 +109,21 @@ def test_what_is_measured_while_the_light_goes_out_is_not_believed(stream):
     assert np.linalg.norm(told.angular) < 1.01 * 100.0 / FOCAL_PX
 
 
+def test_a_gyro_tells_w_while_the_light_goes_out(stream):
+    events = darkness(MOVES_UNTIL_S)
+    state = after_motion(stream, events)
+    at = window(events, 472.5)
+    travels = replace(
+        measured(at, 900.0), gyro=GyroStatus(GyroState.USED), model=MotionModel.FULL,
+        linear=np.array([0.0, 0.0, 1.0]), covariance=1e-4 * np.eye(6),
+    )  # fmt: skip
+    state, told = stream.step(state, at, travels)
+    assert (told.status, told.by_events) == (Status.OK, Status.NO_MOTION)
+    np.testing.assert_array_equal(told.angular, travels.angular)
+    assert told.flow is None and not told.translation_observable and told.covariance[0, 0] == -1
+    assert state.gauge is None
+
+
 def test_a_sensor_of_one_polarity_is_not_always_in_the_dark(stream):
     events = stops()
     events = replace(events, p=np.ones(len(events), bool))
