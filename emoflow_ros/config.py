@@ -4,7 +4,7 @@ It refuses a configuration that needs PyTorch where that is not installed. Only 
 does, so it is imported late.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,12 +17,18 @@ from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import option, options_of, replace_options
 from emoflow_ros.core.thinning import EventBudget
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, say
 from emoflow_ros.published.implicit_config import ImplicitConfig
 
 _ESTIMATORS: dict[str, type[LatticeConfig | ImplicitConfig]] = {
     "lattice": LatticeConfig,
     "implicit": ImplicitConfig,
+}
+
+# Options of earlier versions, and what takes their place.
+_REMOVED = {
+    "estimator.max_doubt": "nothing is withheld any more, the covariance says how sure a twist is; "
+    "output.max_angular_sd and output.max_direction_sd hold back what is wider",
 }
 
 _INSTALL_TORCH = "install it (pip install torch torchdiffeq)"
@@ -84,6 +90,7 @@ def load_config(
     if params_file is not None:
         values.update(_read(params_file))
     values.update(overrides or {})
+    values = without_removed(values, lambda name, line: say(name, line))
     method = values.pop("method", Config.method)
     if not isinstance(method, str) or method not in _ESTIMATORS:
         raise InputError("method", f"unknown {method!r}", f"use {' or '.join(_ESTIMATORS)}")
@@ -93,6 +100,13 @@ def load_config(
         )
     start = Config(profile=profile, method=method, estimator=_ESTIMATORS[method]())
     return replace_options(start, values)
+
+
+def without_removed(values: Mapping[str, Any], warn: Callable[[str, str], None]) -> dict[str, Any]:
+    """Leave out options of earlier versions, and warn of each: its name and what to do instead."""
+    for name in _REMOVED.keys() & values.keys():
+        warn(name, f"no longer an option, left out: {_REMOVED[name]}")
+    return {name: value for name, value in values.items() if name not in _REMOVED}
 
 
 def _config_folder() -> Path:

@@ -31,11 +31,11 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
 
 
 def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
-    from emoflow_ros.core.doubt import ReliableOnly
     from emoflow_ros.core.lattice_estimator import LatticeEstimator
     from emoflow_ros.core.motion_windows import MotionWindows
     from emoflow_ros.core.preparation import CleanWindows
     from emoflow_ros.core.second_look import QuickLook
+    from emoflow_ros.core.stream import ContinuousEstimator
 
     estimator: Estimator = LatticeEstimator(camera, lattice, config.imu)
     if config.window.max_displacement_px > 0:
@@ -45,7 +45,5 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
         from emoflow_ros.core.remembering import RememberingEstimator
 
         estimator = RememberingEstimator(estimator, camera)
-    estimator = CleanWindows(estimator, camera)
-    if lattice.max_doubt < 1:
-        estimator = ReliableOnly(estimator, lattice.max_doubt)
-    return estimator
+    estimator = ContinuousEstimator(estimator, camera, lattice)
+    return CleanWindows(estimator, camera)

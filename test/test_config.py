@@ -153,3 +153,13 @@ def test_a_file_cannot_rename_the_profile():
         load_config("realtime", {"profile": "paper"})
     config = load_config("paper")
     assert load_config("paper", config.flat()) == config
+
+
+def test_an_option_of_an_earlier_version_is_left_out_with_one_line(tmp_path, capsys):
+    path = write(tmp_path, "estimator: {max_doubt: 0.5, min_events: 900}")
+    assert load_config(params_file=path).estimator == LatticeConfig(min_events=900)
+    load_config(overrides={"estimator.max_doubt": 1.0})
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("estimator.max_doubt: no longer an option, left out: nothing is with")
+    assert "output.max_angular_sd" in said[0]

@@ -81,7 +81,7 @@ class Errors:
 
 def measure(material: Material) -> Errors:
     """Run a recording once with the lattice, and with three memories that know different truths."""
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})
+    config = load_config("realtime")
     lattice = make_estimator(material.calibration, config)
     reader = RememberingEstimator(lattice, material.calibration)
     memories = dict.fromkeys(("truth", "starts", "own"), reader.nothing())

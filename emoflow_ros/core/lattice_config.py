@@ -107,13 +107,6 @@ class LatticeConfig:
         minimum=1000,
         maximum=10_000_000,
     )
-    max_doubt: float = option(
-        0.07,
-        "probability of failure above which a window gives no estimate but the status uncertain, "
-        "with a gyro no flow; 1 withholds none",
-        minimum=0.0,
-        maximum=1.0,
-    )
 
     def __post_init__(self) -> None:
         if self.memory and self.model != "auto":

@@ -124,14 +124,13 @@ class LatticeEstimator:
                 len(events), stop, gain, warm=warm,
                 change_px=self._change.measure(events, fit.flow),
                 second_look_px=apart.second_look_px, earlier_px=apart.earlier_px,
-                doubt=self._check.doubt(apart),
             )  # fmt: skip
             result = self._result(window, quality, apart)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
-        self._check.keep(result, fit.flow, apart)
+        self._check.keep(result, fit.flow)
         if measurement is not None or fit.straight or self._late():
             return result
         return self._tremor.add_to(result, events, fit.flow)

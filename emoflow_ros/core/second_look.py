@@ -3,9 +3,9 @@
 A contrast has many local maxima, and a flow near a wrong one still has a high contrast. Only a
 comparison with the result of another start shows such an error. The lattice estimator compares at
 three places: it starts from the best of several flows, it drops a fit that a constant flow
-surpasses, and it measures the distance to a second fit that does not know the estimate, by which
-core.doubt tells how likely the estimate is wrong. The same fit, at a quick look, tells how long a
-first part of a window may be (core.motion_windows).
+surpasses, and it measures the distance to a second fit that does not know the estimate, which is
+a part of its covariance (core.uncertainty). The same fit, at a quick look, tells how long a first
+part of a window may be (core.motion_windows).
 """
 
 from collections.abc import Mapping

@@ -80,7 +80,7 @@ class WindowResult:
     @property
     def ok(self) -> bool:
         """Whether there is an estimate."""
-        return self.status == Status.OK
+        return Status(self.status).told
 
     @property
     def translation_observable(self) -> bool:
@@ -155,7 +155,7 @@ def assess(
     is known (finite, |u| > 0 and |v| > 0), or at all whose truth is known; see TrueFlow.
     """
     part = compared_part(window)
-    ok = estimate.status is Status.OK
+    ok = estimate.told
     observable = estimate.translation_observable
     variance = np.diag(estimate.covariance).astype(np.float64)
     flow, static_flow = _compare_flow(part, estimate, truth)

@@ -14,7 +14,7 @@ from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 SLICE_NS = round(SLICE_MS * NS_PER_MS)
 LATE_NS = 60 * NS_PER_MS  # from a window's end until its estimate is there
-CONFIG = load_config(overrides={"estimator.max_doubt": 1.0})  # withholds no window
+CONFIG = load_config()
 
 
 @dataclass

@@ -11,7 +11,7 @@ from emoflow_ros.core.events import WindowSlicer
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
-CONFIG = load_config(overrides={"estimator.max_doubt": 1.0})  # withholds no window
+CONFIG = load_config()
 
 
 @cache

@@ -41,7 +41,7 @@ def spread_counts(reader: EstimateReader, known) -> float:
     free = FreeFlow(np.zeros((0, 2)), np.zeros((0, 2, 2)), known)
 
     def variance() -> float:
-        found = reader.believe(WINDOW, free, MotionModel.FULL, Disagreement(1.0, 5.0))
+        found = reader.believe(WINDOW, free, MotionModel.FULL, Disagreement(1.0))
         return float(ACROSS @ found.covariance[3:, 3:] @ ACROSS)
 
     reader.possible = PossibleMotions()

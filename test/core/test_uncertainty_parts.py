@@ -22,7 +22,7 @@ NEVER = 1e9  # more cost than any flow has
 def covariance_of(
     possible, distance_px=1.0, *, w=None, known=None, sized=True, parallax_px=5.0
 ) -> np.ndarray:
-    apart = Disagreement(distance_px, 5.0, 1.0, w)
+    apart = Disagreement(distance_px, 1.0, w)
     return possible.covariance(apart, W, parallax_px, FOCAL_PX, known, sized=sized)
 
 

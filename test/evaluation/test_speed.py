@@ -32,7 +32,7 @@ def recording(tmp_path_factory) -> OutputPaths:
 
 def test_evaluation_keeps_up_with_the_recording(recording, tmp_path):
     """Reading, estimating, comparing with poses and flow, and writing, in processor time."""
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})
+    config = load_config("realtime")
     with open_recording(recording.data, calibration=recording.calibration) as opened:
         truth = load_truth(opened, [recording.truth, recording.flow])
         estimator = make_estimator(opened.camera, config)

@@ -113,7 +113,7 @@ def expected(recording: SimulatedRecording) -> list[Estimate]:
     """The estimates of the same windows without ROS."""
     from emoflow_ros.factory import make_estimator
 
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})
+    config = load_config("realtime")
     estimator = make_estimator(CAMERA, config)
     return [estimator.estimate(w) for w in WindowSlicer(config.window).push(recording.events)]
 

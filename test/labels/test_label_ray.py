@@ -21,7 +21,7 @@ from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.readers import open_recording
 
 ROOT = Path(__file__).parents[2]
-WHOLE = ("--set", "window.max_displacement_px=0", "--set", "estimator.max_doubt=1")
+WHOLE = ("--set", "window.max_displacement_px=0")
 POLICY = WindowPolicy(duration_ms=60.0, stride_ms=20.0)
 CUT = ("--window-ms", 60, "--stride-ms", 20, "--chunk-s", 0.06, "--margin-s", 0.02, *WHOLE)
 

@@ -25,7 +25,6 @@ CONFIG = load_config(
         "window.max_displacement_px": 9.0,
         "window.min_count": 5000,
         "estimator.max_events": 5000,
-        "estimator.max_doubt": 1.0,  # withholds no window
     }
 )
 
