@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks import animation
-from benchmarks.animation import OFF, ON, Flight, Step
+from benchmarks.animation import __main__ as command
+from benchmarks.animation import drawing
+from benchmarks.animation.drawing import OFF, ON, Flight, Step
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
@@ -54,14 +55,14 @@ def step(number: int, *, found: bool = True) -> Step:
 
 
 def test_events_are_those_of_the_middle_in_two_colours():
-    image = animation.recent(step(0).window, 50 * NS_PER_MS, CAMERA)
-    lit = (image != animation._rgb(animation.BACKGROUND)).any(axis=-1)
+    image = drawing.recent(step(0).window, 50 * NS_PER_MS, CAMERA)
+    lit = (image != drawing._rgb(drawing.BACKGROUND)).any(axis=-1)
     assert np.unique(np.nonzero(lit)[1]).tolist() == [13, 14, 15, 16]  # 35 to 65 ms
     assert image[2, 14].tolist() == list(ON) and image[3, 14].tolist() == list(OFF)
 
 
 def test_sharpened_picture_has_the_edge_where_it_is_in_the_middle():
-    _, sharp, flow = animation.panels(CAMERA, step(0), SPEED)
+    _, sharp, flow = drawing.panels(CAMERA, step(0), SPEED)
     bright = sharp.sum(axis=(0, 2))
     assert np.argmax(bright) == 15 and bright[15] > 3 * bright[13]
     red, green, blue = flow[20, 15].astype(int)  # to the right is red
@@ -69,7 +70,7 @@ def test_sharpened_picture_has_the_edge_where_it_is_in_the_middle():
 
 
 def test_window_without_an_estimate_has_events_alone():
-    raw, sharp, flow = animation.panels(CAMERA, step(0, found=False), SPEED)
+    raw, sharp, flow = drawing.panels(CAMERA, step(0, found=False), SPEED)
     assert (raw != sharp).any() and (sharp == flow).all() and len(np.unique(flow)) <= 3
 
 
@@ -77,15 +78,15 @@ def test_curves_end_where_the_animation_is():
     steps = [step(0), step(1, found=False), step(2), step(3)]
     flight = Flight(CAMERA, step(0).window.events, None)
     green = np.array([98, 210, 111])  # the colour of y
-    first, last = (animation.chart(flight, steps, i).astype(int) for i in (0, 3))
-    assert first.shape == (animation.CHART_PX, animation.WIDTH_PX, 3)
+    first, last = (drawing.chart(flight, steps, i).astype(int) for i in (0, 3))
+    assert first.shape == (drawing.CHART_PX, drawing.WIDTH_PX, 3)
     assert (np.abs(last - green).sum(-1) < 60).sum() > (np.abs(first - green).sum(-1) < 60).sum()
 
 
 @pytest.mark.parametrize("ending", [".webp", ".gif", ".png"])
 def test_animation_is_written(tmp_path, ending):
     frames = [np.full((20, 30, 3), value, np.uint8) for value in (0, 100, 200)]
-    animation.save(tmp_path / f"a{ending}", frames, 80.0)
+    drawing.save(tmp_path / f"a{ending}", frames, 80.0)
     with Image.open(tmp_path / f"a{ending}") as image:
         assert (image.n_frames, image.size) == (3, (30, 20))
         image.seek(1)
@@ -94,7 +95,7 @@ def test_animation_is_written(tmp_path, ending):
 
 def test_bad_ending_is_refused_before_anything_is_simulated(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["animation", "--out", "flight.mp4"])
-    assert animation.main() == 2
+    assert command.main() == 2
     assert "give one of .webp, .gif, .png" in capsys.readouterr().err
 
 
@@ -108,17 +109,17 @@ def test_recording_is_shown_without_truth(shared_data, monkeypatch, tmp_path, ca
         seen.extend([flight.camera.size, len(flight.events)])
         return iter([step(0), step(1)])
 
-    monkeypatch.setattr(animation, "estimated", estimated)
+    monkeypatch.setattr(command, "estimated", estimated)
     dark = np.zeros((180, 240, 3), np.uint8)
-    monkeypatch.setattr(animation, "panels", lambda *_: (dark, dark, dark))
-    assert animation.main() == 0
+    monkeypatch.setattr(drawing, "panels", lambda *_: (dark, dark, dark))
+    assert command.main() == 0
     assert capsys.readouterr().out.startswith("2 frames")
     assert seen == [(240, 180), 20_000]
 
 
 def test_animation_of_the_readme_is_small_and_moves():
     path = ROOT / "docs" / "images" / "flight.webp"
-    assert path.stat().st_size <= animation.MOST_BYTES
+    assert path.stat().st_size <= command.MOST_BYTES
     with Image.open(path) as image:
         assert image.n_frames > 20
     assert "docs/images/flight.webp" in (ROOT / "README.md").read_text()

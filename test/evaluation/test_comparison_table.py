@@ -11,8 +11,10 @@ import pytest
 from known import ANGULAR, LINEAR, START, Known, KnownFlow
 from synthetic import Plane, flow_maps, write_flow_npz, write_mvsec_hdf5
 
-from benchmarks import comparison
-from benchmarks._snippet import load_snippet
+from benchmarks.comparison import __main__ as comparison
+from benchmarks.comparison.snippet import load_snippet
+from benchmarks.comparison.table import SEQUENCES as COMPARED
+from benchmarks.comparison.table import published
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES
@@ -102,17 +104,17 @@ def test_what_is_done_is_not_done_again(call, downloaded, monkeypatch, capsys):
 
 
 def test_published_peers_stand_beside_the_sequences_that_they_have():
-    rows = {row.method: row for row in comparison.published("outdoor_day1_segment")}
+    rows = {row.method: row for row in published("outdoor_day1_segment")}
     assert (rows["E-RAFT"].epe_px, rows["MultiCM"].epe_px) == (0.72, 1.25)
     assert rows["E-MoFlow, early stopping"].seconds == 4.56
-    assert [row.method for row in comparison.published("outdoor_day2")] == ["E-MoFlow"]
-    assert comparison.published("indoor_flying1_snippet") == []
+    assert [row.method for row in published("outdoor_day2")] == ["E-MoFlow"]
+    assert published("indoor_flying1_snippet") == []
 
 
 def test_empty_folder_is_refused_with_one_line(call, tmp_path, capsys):
     assert call(tmp_path) == 2
     *missing, error = capsys.readouterr().err.splitlines()
-    assert len(missing) == len(comparison.SEQUENCES)
+    assert len(missing) == len(COMPARED)
     assert "holds no sequence of MVSEC" in error and "indoor_flying1_data.hdf5" in error
 
 
