@@ -32,7 +32,7 @@ def is_snippet(folder: Path) -> bool:
     return all((folder / name).is_file() for name in (EVENTS, CALIBRATION, DEPTH, VELOCITY))
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Velocity:
     """Velocity between the middles of the parts by a straight line, constant beyond them."""
 
@@ -43,11 +43,15 @@ class _Velocity:
 
     def twist(self, t: int) -> TrueTwist:
         """Velocity at time t (ns)."""
-        at = [np.interp(t / NS_PER_S, self.times, column) for column in self.values.T]
-        return TrueTwist(np.array(at[:3]), np.array(at[3:]))
+        now = self.at(t)
+        return TrueTwist(now[:3], now[3:])
+
+    def at(self, t: float) -> NDArray[np.float64]:
+        """Angular and linear velocity at time t (ns), (6,)."""
+        return np.array([np.interp(t / NS_PER_S, self.times, column) for column in self.values.T])
 
 
-@dataclass(frozen=True)
+@dataclass
 class _EventFlow:
     """Displacement of the pixels that hold events, by the median of these events' depths."""
 
@@ -61,9 +65,7 @@ class _EventFlow:
         """Where the pixels of time t0 are at t1 (ns), if the flow does not change on the way."""
         depth = self._depth(t0, t1)
         times = np.linspace(t0, t1, _STEPS)
-        twists = [self.velocity.twist(int(t)) for t in times]
-        w = np.mean([twist.angular for twist in twists], axis=0)
-        v = np.mean([twist.linear for twist in twists], axis=0)
+        w, v = np.mean([self.velocity.at(t) for t in times], axis=0).reshape(2, 3)
         a, b = motion_matrices(self.camera.bearings.astype(np.float64))
         known = np.isfinite(depth)
         normalised = a @ v / np.where(known, depth, 1.0)[..., None] + b @ w
