@@ -27,7 +27,7 @@ from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import find_sequence
 from emoflow_ros.evaluation.protocols import CAUSAL, PAPER, WINDOWS, adapt_windows, make_plan
-from emoflow_ros.evaluation.recording_options import Source
+from emoflow_ros.evaluation.recording_options import Source, overrides, positive
 from emoflow_ros.evaluation.window_run import evaluate
 from emoflow_ros.readers import require_camera
 from emoflow_ros.report.report_writer import write_report
@@ -52,12 +52,13 @@ def _parser() -> argparse.ArgumentParser:
     add("folder", type=Path, metavar="FOLDER", help="of downloaded files, or a snippet")
     add("--profiles", nargs="+", default=["realtime", "memory"], metavar="PROFILE",
         help="default: realtime memory")  # fmt: skip
-    add("--max-doubt", type=float, metavar="P",
-        help="failure probability above which windows are withheld; 1: none (default: the "
-        "profile's)")  # fmt: skip
-    add("--max-windows", type=int, metavar="N", help="of each sequence (default: all)")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", dest="overrides",
+        help="an option of all profiles by its dotted name, for example estimator.max_doubt=1 to "
+        "withhold nothing; repeatable")  # fmt: skip
+    add("--max-windows", type=positive, metavar="N", help="of each sequence (default: all)")
     add("--out", type=Path, default=Path("out/comparison"), metavar="DIR",
         help="default: out/comparison")  # fmt: skip
+    parser.set_defaults(window_ms=None, stride_ms=None)
     return parser
 
 
@@ -69,7 +70,7 @@ def _compare(args: argparse.Namespace) -> None:
             "holds no sequence of MVSEC and no snippet",
             f"download for example {SEQUENCES[0]}_data.hdf5, _gt.hdf5 and _gt_flow_dist.npz to it",
         )
-    values = {} if args.max_doubt is None else {"estimator.max_doubt": args.max_doubt}
+    values = overrides(args)
     configs = {name: load_config(name, values) for name in args.profiles}
     rows = []
     for job in jobs:

@@ -100,7 +100,7 @@ def test_what_is_done_is_not_done_again(call, downloaded, monkeypatch, capsys):
     assert call(downloaded, "--profiles", "realtime") == 0
     assert capsys.readouterr().out == first
     with pytest.raises(TypeError):  # another configuration is another run
-        call(downloaded, "--profiles", "realtime", "--max-doubt", "1")
+        call(downloaded, "--profiles", "realtime", "--set", "estimator.max_doubt=1")
 
 
 def test_published_peers_stand_beside_the_sequences_that_they_have():
@@ -154,8 +154,8 @@ def test_as_many_depths_as_events(snippet, capsys):
 def test_first_row_of_real_mvsec(shared_data, monkeypatch, tmp_path, capsys):
     """0.22 s of indoor_flying1 with little motion: 5.9 px in 135 ms, |w| 8 deg/s, 0.14 m/s."""
     folder = shared_data / SNIPPET
-    words = [str(folder), "--profiles", "realtime", "--max-doubt", "1", "--out", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", ["comparison", *words])
+    words = [str(folder), "--profiles", "realtime", "--set", "estimator.max_doubt=1"]
+    monkeypatch.setattr("sys.argv", ["comparison", *words, "--out", str(tmp_path)])
     assert comparison.main() == 0
     epe, outliers, w, _, _, windows = lines(capsys.readouterr().out)[folder.name, "realtime"]
     assert windows == "2 of 2"
