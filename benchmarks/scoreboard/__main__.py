@@ -2,7 +2,7 @@
 
 60 random recordings of 3 s, those of another simulator and real ones, each from two cold starts.
 Writes accuracy.json, report.html and one table of windows per recording into the folder of --out.
-docs/accuracy.md says what the figures mean.
+docs/scoreboard.md says what the figures mean.
 """
 
 import argparse
