@@ -26,6 +26,7 @@ _SHORTEST_PX = 0.5  # a shorter one tells too little
 _GRID_PX = 16  # distance between the points whose speed counts, px of the sensor
 _STEP_NS = NS_PER_MS  # over which the speed is taken
 _SURE = 3.0  # standard deviations
+_FEWEST_OF_EDGES = 1000  # events
 _EDGES = 4.0  # variance over that by chance from which there are edges
 _FEWEST = 20  # events; a sensor that sends fewer may be blind
 REST_PX_S = 3.0  # up to which a camera is at rest
@@ -135,6 +136,8 @@ def scatter(events: Events, camera: Camera, *, surely: bool) -> float:
 
 def structured(events: Events, camera: Camera) -> bool:
     """Tell whether events show edges. Noise scatters by chance, or, in pairs, by twice that."""
+    if len(events) < _FEWEST_OF_EDGES:
+        return False
     number, squares = _in_blocks(events, camera)
     return float(number.var()) > _EDGES * squares / len(number)
 

@@ -120,9 +120,12 @@ class PresentMotion:
         covariance = scene.covariance + np.diag(drift * since)
         covariance[:3, :3] += variance * np.eye(3)
         change = expected.copy()
-        fitted = scene.known is not None and self._fit(
-            scene.known, part, change, covariance, 6 if scene.travels else 3
-        )
+        free = 6 if scene.travels else 3
+        fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
+        if (
+            fitted
+        ):  # the slice shows the change since; what the window took for turn or travel stays
+            covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
         if by_gyro is not None and at_end is not None:
             change[:3] += at_end[0] - by_gyro[0]

@@ -127,7 +127,7 @@ def _velocity(windows: Sequence[WindowResult]) -> list[Measure]:
 
 def _angular(windows: Sequence[WindowResult]) -> list[Measure]:
     squares = [np.degrees(w.angular_error) ** 2 for w in windows]
-    true = [np.degrees(w.truth.angular) ** 2 for w in windows if w.ok and w.truth]
+    true = [np.degrees(w.truth.angular) ** 2 for w in windows if w.told and w.truth]
     axis = [w.axis_error_deg for w in windows]
     ratio = [w.rate_ratio for w in windows]
     return [
@@ -147,7 +147,7 @@ def _angular(windows: Sequence[WindowResult]) -> list[Measure]:
 
 def _linear(windows: Sequence[WindowResult]) -> list[Measure]:
     errors = [w.direction_error_deg for w in windows]
-    known = [w for w in windows if w.ok and np.isfinite(w.true_direction).all()]
+    known = [w for w in windows if w.told and np.isfinite(w.true_direction).all()]
     observed = [100.0 * np.isfinite(w.linear).all() for w in known]
     return [
         _measure("direction_error_deg", "Direction error of v (median)", "deg", errors),

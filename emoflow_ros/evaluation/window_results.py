@@ -79,7 +79,12 @@ class WindowResult:
 
     @property
     def ok(self) -> bool:
-        """Whether there is an estimate."""
+        """Whether the motion was measured."""
+        return self.status == Status.OK
+
+    @property
+    def told(self) -> bool:
+        """Whether a motion is told: measured, at rest, carried on or bounded."""
         return Status(self.status).told
 
     @property
@@ -155,7 +160,7 @@ def assess(
     is known (finite, |u| > 0 and |v| > 0), or at all whose truth is known; see TrueFlow.
     """
     part = compared_part(window)
-    ok = estimate.told
+    told = estimate.told
     observable = estimate.translation_observable
     variance = np.diag(estimate.covariance).astype(np.float64)
     flow, static_flow = _compare_flow(part, estimate, truth)
@@ -163,7 +168,7 @@ def assess(
     if part is not window and estimate.motion is not None:
         t = (part.t_start + part.t_end) // 2
         linear, angular = estimate.motion.linear(t), estimate.motion.angular(t)
-    known = ok & (variance >= 0) & ((np.arange(6) >= 3) | observable)
+    known = told & (variance >= 0) & ((np.arange(6) >= 3) | observable)
     return WindowResult(
         index=index,
         t_start=part.t_start,
@@ -172,7 +177,7 @@ def assess(
         status=str(estimate.status),
         model=str(estimate.model),
         linear=np.where(observable, linear, np.nan),
-        angular=np.where(ok, angular, np.nan),
+        angular=np.where(told, angular, np.nan),
         sigma=np.sqrt(np.where(known, variance, np.nan)),
         truth=truth.twists.twist(t) if truth.twists else None,
         flow=flow,

@@ -76,4 +76,6 @@ def test_edges_are_told_from_noise_and_from_noise_in_pairs():
     noise = window(scene(0.0, 0.2, 0.5), 180).events
     pairs = Events.concatenate([noise, noise])
     assert not structured(noise, CAMERA) and not structured(pairs, CAMERA)
+    diagonal = noise[:900]
+    assert not structured(replace(diagonal, y=diagonal.x % 260), CAMERA)
     assert structured(window(scene(15.0, 0.2, 0.5), 180).events, CAMERA)
