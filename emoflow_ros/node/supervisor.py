@@ -215,9 +215,8 @@ class Supervisor:
         self._tell(outcome)
 
     def _configure(self, camera: Camera, config: Config) -> None:
-        used = config
-        if self._on_cpu and config.device != "cpu":
-            used = replace_options(config, {"estimator.device": "cpu"})
+        lost = self._on_cpu and config.device != "cpu"
+        used = replace_options(config, {"estimator.device": "cpu"}) if lost else config
         answer, _ = self._request(
             {"kind": "configure", "camera": asdict(camera), "config": used.flat()},
             {},

@@ -133,10 +133,7 @@ class Peer:
             self._executor.spin_once(timeout_sec=0.05)
 
     def spin_while_alive(self, condition: Callable[[], Any], beats: int = 10) -> bool:
-        """Spin until a condition holds, or the node has reported so many times without it.
-
-        The node's own reports are the clock: on a busy machine they come later, too.
-        """
+        """Spin until a condition holds, or the node has reported so many times without it."""
         last = len(self.diagnostics) + beats
         self.spin_until(lambda: condition() or len(self.diagnostics) >= last, "the node's reports")
         return bool(condition())
