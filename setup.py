@@ -21,7 +21,7 @@ setup(
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
         *(
             (f"share/{PACKAGE}/config/{folder}", sorted(glob(f"config/{folder}/*")))
-            for folder in ("calibration", "dds", "layouts", "sensors")
+            for folder in ("calibration", "dds", "filters", "layouts", "sensors")
         ),
     ],
     extras_require={"test": ["pytest"], "ray": ["ray"]},

@@ -42,6 +42,7 @@ STEPS = (
     Step("offline", short=("--duration", "30")),
     Step("node", short=(), long=("--long",)),
     Step("growth", short=None),
+    Step("stream", short=None),
     Step("paper", short=None, rows=False),
     Step("profiles", short=None, rows=False),
 )

@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -131,17 +131,30 @@ def _ns(header: Header) -> int:
 
 
 def replay_through_node(bag: Path, rate: float) -> Observed:
-    """Run the node and `replay` until all twists have come.
+    """Run the node and `replay` until all twists have come, as `listen_to_replay` does."""
+    return listen_to_replay(bag, rate, Observer).observed
+
+
+def listen_to_replay[T: Observer](
+    bag: Path, rate: float, make: Callable[[], T], arguments: Sequence[str] = ()
+) -> T:
+    """Run the node with arguments and `replay` until all twists have come.
+
+    Args:
+        bag: with events, calibration and marks on the topics of _event_loop.
+        rate: of the replay.
+        make: makes who listens.
+        arguments: of the node.
 
     Raises:
         InputError: a process ended too early, or the node did not listen in time.
     """
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
-        observer = Observer()
+        observer = make()
         observed = observer.observed
         started = time.monotonic()
-        with _running("estimator") as node:
+        with _running("estimator", *arguments) as node:
             _spin_until(observer.twists.get_publisher_count, observer, node)
             with _running(
                 "replay", str(bag), "--rate", f"{rate}", "--wait", f"{_WAIT_S}"
@@ -157,7 +170,7 @@ def replay_through_node(bag: Path, rate: float) -> Observed:
                         "replay", f"exit code {replay.returncode}", "see its message above"
                     )
             _spin_until(observer.quiet_for(_QUIET_S), observer, node)
-        return observed
+        return observer
     finally:
         try_shutdown()
 

@@ -32,7 +32,7 @@ from benchmarks._node_figures import Sent, Targets, figures, process_table, rows
 from benchmarks._rows import lay_out
 from benchmarks._running_node import DOMAIN, replay_through_node
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 

@@ -29,7 +29,7 @@ from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
 START = 1_500_000_000_000_000_000
 CORES = 2
 TARGET_FACTOR = 3.0
-_COMMAND = "import sys; from emoflow_ros.evaluation.evaluate_command import main; sys.exit(main())"
+_COMMAND = "import sys; from emoflow_ros.commands.evaluate import main; sys.exit(main())"
 
 
 def main() -> int:

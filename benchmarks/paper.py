@@ -21,9 +21,9 @@ from benchmarks._rows import verdict
 from emoflow_ros.cli import run
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
-from emoflow_ros.core.implicit.estimator import ImplicitEstimator
-from emoflow_ros.core.implicit.implicit_config import ImplicitConfig
 from emoflow_ros.core.options import replace_options
+from emoflow_ros.published.estimator import ImplicitEstimator
+from emoflow_ros.published.implicit_config import ImplicitConfig
 
 CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 WINDOW_NS = 90 * NS_PER_MS

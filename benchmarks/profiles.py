@@ -32,13 +32,13 @@ from benchmarks._profile_tables import Cell, Row, paired_table, table, verdicts
 from benchmarks._scoring import SCENES, SimulatedTruth, normalised_errors
 from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Window, WindowPolicy
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording
 from emoflow_ros.truth import Truth
 

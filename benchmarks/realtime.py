@@ -36,14 +36,14 @@ from benchmarks.paper import CONTRAST_ONLY as PAPER_CONTRAST_ONLY
 from benchmarks.paper import ITERATIONS as PAPER_ITERATIONS
 from benchmarks.paper import time_iterations as time_paper_loop
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import NS_PER_S, Window, WindowPolicy, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 from emoflow_ros.truth import Truth
 
@@ -73,9 +73,6 @@ def _parser() -> argparse.ArgumentParser:
         "--cold-every", type=int, default=3, help="time each n-th window cold, too (default: 3)"
     )
     parser.add_argument(
-        "--device", choices=("cpu", "cuda"), default="cpu", help="of both methods (default: cpu)"
-    )
-    parser.add_argument(
         "--paper-iterations", type=int, default=3, help="of each of its phases (default: 3)"
     )
     parser.add_argument(
@@ -92,7 +89,7 @@ def _measure(args: argparse.Namespace) -> None:
         if getattr(args, name) < 1:
             raise InputError(f"--{name.replace('_', '-')}", "less than 1", "give at least 1")
     use_one_thread()
-    config = load_config("realtime", {"estimator.device": args.device})
+    config = load_config("realtime")
     load = os.getloadavg()[0]
     scores: dict[str, dict[int, list[Score]]] = {scene: {} for scene in args.scenes}
     runs = [(scene, seed) for scene in args.scenes for seed in args.seeds]
@@ -115,7 +112,6 @@ def _measure(args: argparse.Namespace) -> None:
             windows[-1],
             args.paper_iterations,
             scenes[scene]["all"]["warm_ms"],
-            args.device,
         ),
     }
     report["rows"] = [row.as_dict() for row in rows(report)]
@@ -190,7 +186,7 @@ def score(
 
 
 def compare_with_paper(
-    scene: str, window: Window, iterations: int, warm_ms: float | None, device: str
+    scene: str, window: Window, iterations: int, warm_ms: float | None
 ) -> dict[str, Any]:
     """Time the published loop's iterations on a window, and extrapolate to whole fits.
 
@@ -199,9 +195,8 @@ def compare_with_paper(
         window: also one of those that were estimated.
         iterations: how many are timed, with the contrast alone and with both losses.
         warm_ms: median time of the scene's warm windows.
-        device: where the loop runs, the same as for the windows.
     """
-    timing = time_paper_loop(window, {"device": device}, iterations)
+    timing = time_paper_loop(window, {"device": "cpu"}, iterations)
     comparison: dict[str, Any] = {
         "scene": scene,
         "events": min(len(window.events), 30_000),

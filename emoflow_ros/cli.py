@@ -128,7 +128,7 @@ def _command(module: str) -> Callable[[], int]:
 
 
 replay = _command("commands.replay")
-evaluate = _command("evaluation.evaluate_command")
-simulate = _command("simulation.simulate")
+evaluate = _command("commands.evaluate")
+simulate = _command("commands.simulate")
 info = _command("commands.info")
-label = _command("labels.label_command")
+label = _command("commands.label")

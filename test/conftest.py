@@ -1,6 +1,7 @@
 """What all tests share: ROS on this machine only, on a domain of each process; recordings."""
 
 import fcntl
+import math
 import os
 import signal
 import socket
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:  # NumPy must find the number of threads below when it is impo
     from xdist.scheduler import LoadFileScheduling
 
 ROOT = Path(__file__).resolve().parents[1]
+MOST_WORK_S = 180.0  # of processor time, of a test
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
@@ -41,7 +44,7 @@ sys.path.insert(0, str(ROOT / "test" / "recordings"))
 pytest_plugins = ["recording_fixtures"]
 
 _COMPILE = """
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.worker import _Worker
 _Worker(make_estimator)._warm_up()
 """
@@ -103,6 +106,25 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> "LoadFileSch
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with what takes minutes and cannot be divided."""
     items.sort(key=lambda item: "integration" not in item.path.parts)
+
+
+@contextmanager
+def bounded_work(most_s: float) -> Iterator[None]:
+    """Fail what takes more processor time, that of the children that end in it included."""
+    before = sum(os.times()[:4])
+    yield
+    if (spent := sum(os.times()[:4]) - before) > most_s:
+        pytest.fail(f"{spent:.3g} s of processor time, at most {most_s:g} s are allowed")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Bound the work of a test and not its time, to which a busy machine adds.
+
+    `make test` gives pytest-timeout a limit that only a hang reaches.
+    """
+    with bounded_work(math.inf if item.get_closest_marker("soak") else MOST_WORK_S):
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -45,6 +45,17 @@ def test_a_gate_gives_way_by_a_quarter_or_its_slack(gate, recorded_value, passes
     assert not gate.passes(fails, recorded_value)
 
 
+def test_no_window_may_become_confident_and_wrong():
+    """One of twelve windows, as in the shortest recordings."""
+    known = recorded()[SUBJECTS[0].name]
+    assert known["confident_wrong"] == 0.0
+    assert failures(known, known) == []
+    for share in (100 / 12, 10.0):
+        assert failures(known | {"confident_wrong": share}, known) == [
+            f"confident_wrong is {share:.3f}, bound 0.000 (recorded 0.000)"
+        ]
+
+
 def test_a_figure_that_is_gone_fails():
     expected = {gate.figure: 1.0 for gate in GATES}
     assert len(failures({}, expected)) == len(GATES)

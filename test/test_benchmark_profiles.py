@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import profiles
 from benchmarks._profile_tables import Cell, Row, paired_table, table, verdicts
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 
 TINY = {
     "estimator.max_events": 2000,

@@ -12,7 +12,6 @@ from benchmarks import growth, realtime
 from benchmarks._event_loop import scaled_camera
 from benchmarks._scoring import Score, normalised_errors, summarise
 from benchmarks.paper import Timing, compare_with_target
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.evaluation.metrics import FlowErrors
@@ -119,8 +118,6 @@ def test_realtime_reports_what_it_ran(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(realtime, "timed", timed)
     monkeypatch.setattr(realtime, "time_paper_loop", lambda *_: Timing(0.5, 1.0))
     out = tmp_path / "folder" / "realtime.json"
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})  # withholds no window
-    monkeypatch.setattr(realtime, "load_config", lambda *_: config)
     options = "--scenes forward --seeds 4 --windows-per-seed 6 --cold-every 6 --out"
     monkeypatch.setattr("sys.argv", ["realtime.py", *options.split(), str(out)])
     assert realtime.main() == 0

@@ -28,7 +28,7 @@ def unread(*arguments, stream="stdout"):
     os.close(reader)
     with start(*arguments, **{stream: writer}) as process:
         os.close(writer)
-        output = b"".join(filter(None, process.communicate(timeout=100)))
+        output = b"".join(filter(None, process.communicate()))
     return process.returncode, output
 
 
@@ -59,7 +59,7 @@ def test_limit_of_memory_that_is_too_low_is_one_line(limit_mib, tmp_path):
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     with start("-c", code, "--help", env=environment) as process:
-        output, error = process.communicate(timeout=100)
+        output, error = process.communicate()
     assert (process.returncode, output) == (2, b"")
     assert error.decode().splitlines()[0] == (
         f"error: memory: {limit_mib} MiB of address space (ulimit -v) are not enough; "
@@ -82,7 +82,7 @@ def test_a_broken_pipe_of_the_commands_own_keeps_its_traceback():
     """Also where its output is buffered: only a stream without a reader is silent."""
     command = "[print('before'), (ends := os.pipe()), os.close(ends[0]), os.write(ends[1], b'x')]"
     with start("-c", RUN.format(command)) as process:
-        output, error = process.communicate(timeout=100)
+        output, error = process.communicate()
     assert process.returncode == 1
     assert output == b"before\n"
     assert error.startswith(b"Traceback") and b"BrokenPipeError" in error
@@ -91,7 +91,7 @@ def test_a_broken_pipe_of_the_commands_own_keeps_its_traceback():
 def test_a_closed_standard_output_is_no_error():
     process = start("-c", RUN.format("print('x')"), preexec_fn=lambda: os.close(1), stdout=None)
     with process:
-        assert process.communicate(timeout=100)[1] == b""
+        assert process.communicate()[1] == b""
     assert process.returncode == 0
 
 

@@ -131,7 +131,7 @@ def test_read_only_installation_starts_and_names_the_folder(
     code = f"import sys; from emoflow_ros.{call}; sys.exit(main())"
     done = subprocess.run(
         [sys.executable, "-c", code, "--help"],
-        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=100,
+        env=environment, cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
     temporary = tmp_path / "temporary" / f"emoflow_ros_{os.getuid()}"
     named = tmp_path / "cache" / "emoflow_ros" if home == "cache" else temporary

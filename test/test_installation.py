@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = ROOT / ".test_messages" / "install"
 REAL = Path("/opt/ros/jazzy")
 CAMERA = Camera(120, 90, 110.0, 110.0, 60.0, 45.0)
-WAIT_S = 60.0
+WAIT_S = 600.0  # only what hangs takes so long, also on a busy machine
 SETUP = """\
 export AMENT_PREFIX_PATH={0}${{AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}}
 export LD_LIBRARY_PATH={0}/lib${{LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}}
@@ -66,7 +66,6 @@ pytestmark = [
     pytest.mark.skipif(
         not MESSAGES.is_dir(), reason="no dvs_msgs: run scripts/build_test_messages.sh"
     ),
-    pytest.mark.timeout(600),  # 30 s of computing, which a busy machine stretches
 ]
 
 

@@ -69,7 +69,7 @@ def test_tests_with_a_limit_need_no_plugin_of_pytest() -> None:
         command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert {path.name for path in marked} > {"test_soak.py", "test_fuzz_readers.py"}
+    assert {path.name for path in marked} > {"test_soak.py", "test_random_faults.py"}
     assert all(path.name in ran.stdout for path in marked)
 
 

@@ -2,7 +2,7 @@
 
 60 random recordings of 3 s, those of another simulator and real ones, each from two cold starts.
 Writes accuracy.json, report.html and one table of windows per recording into the folder of --out.
-docs/accuracy.md says what the figures mean.
+docs/scoreboard.md says what the figures mean.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from benchmarks.scoreboard.subjects import SHARED_DATA, Subject, shared_subjects
 from benchmarks.scoreboard.summary import summarise
 from benchmarks.scoreboard.table import table
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.recording_options import (
     add_configuration_options,

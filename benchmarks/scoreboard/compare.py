@@ -207,7 +207,8 @@ def _percent_of(verdict: str) -> Callable[[Recording], float]:
 
 
 def _criterion(name: str) -> Callable[[Recording], float]:
-    return lambda recording: _number(recording["criteria"][name], 100.0)
+    """Whether it is met; NaN where it is not judged, or the run's version did not have it."""
+    return lambda recording: _number(recording["criteria"].get(name), 100.0)
 
 
 def _figure(key: str) -> Callable[[Recording], float]:

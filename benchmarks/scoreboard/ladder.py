@@ -21,14 +21,14 @@ from tqdm import tqdm
 from benchmarks.scoreboard.simulated_subjects import random_subjects
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros.cli import run
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera_motion import motion_matrices
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import NS_PER_MS, Window, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.odometry import State
 from emoflow_ros.core.preparation import clean
 from emoflow_ros.core.remembering import RememberingEstimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.report.documents import write_json
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ class Errors:
 
 def measure(material: Material) -> Errors:
     """Run a recording once with the lattice, and with three memories that know different truths."""
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})
+    config = load_config("realtime")
     lattice = make_estimator(material.calibration, config)
     reader = RememberingEstimator(lattice, material.calibration)
     memories = dict.fromkeys(("truth", "starts", "own"), reader.nothing())

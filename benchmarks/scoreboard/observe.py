@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from benchmarks.scoreboard.subjects import Material
 from benchmarks.scoreboard.truths import displace, true_rotation
 from benchmarks.scoreboard.windows import Windows, make_windows
-from emoflow_ros.core.config import Config
-from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.config import Config
+from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_S, Window, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.evaluation.metrics import event_mask, flow_errors
 from emoflow_ros.evaluation.window_run import attempt
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.truth import TrueFlow, TrueTwist
 
 SECOND_START_S = 0.37
@@ -62,7 +62,7 @@ def observe(material: Material, config: Config) -> Windows:
 def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str, Any]:
     """Fill one row of the table."""
     part = window.since(estimate.t_start)
-    ok = estimate.status is Status.OK
+    ok = estimate.told
     twist = material.truth.twists.twist(estimate.t) if material.truth.twists else None
     whole = _true_flow(window, material)
     # Slow motion takes the window whole: its flow need not be put together twice.

@@ -18,7 +18,7 @@ from benchmarks.scoreboard.picture import event_picture
 from benchmarks.scoreboard.subjects import Subject
 from benchmarks.scoreboard.verdicts import Verdict, judge
 from benchmarks.scoreboard.windows import Windows
-from emoflow_ros.core.config import Config
+from emoflow_ros.config import Config
 
 WINDOWS_FOLDER = "windows"
 

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.scoreboard.run import Outcome
 from benchmarks.scoreboard.score_summary import summarise_scores
 from benchmarks.scoreboard.verdicts import CRITERIA, rate
-from emoflow_ros.core.config import Config
+from emoflow_ros.config import Config
 from emoflow_ros.evaluation.provenance import machine, versions
 
 FORMAT = 1

@@ -14,7 +14,7 @@ NEES = (0.3, 3.0)
 CONFIDENT_PERCENT = 1.0
 
 ACCURATE = ("coverage", "epe", "w", "v")
-HONEST = ("still", "nees", "confident", "lost")
+HONEST = ("answer", "still", "nees", "confident", "lost")
 CRITERIA = ACCURATE + HONEST
 
 # True, False, or None where nothing in the recording can be judged by it.
@@ -54,7 +54,8 @@ def judge(figures: Figures) -> Verdict:
     RMS |w|, whichever is larger; `v`, median error at most 8 degrees where the true parallax
     exceeds 2 px. Estimates there of which none claims v miss it.
 
-    Honest: `still`, no estimate while nothing moves, or one that its covariance covers; `nees`,
+    Honest: `answer`, an estimate at all where anything moves: silence has no covariance that could
+    be wrong; `still`, no estimate while nothing moves, or one that its covariance covers; `nees`,
     mean NEES of w and of v between 0.3 and 3; `confident`, confident and wrong in at most 1 % of
     the windows with an estimate; `lost`, in no moving window with an estimate is the EPE above
     half of the displacement.
@@ -69,6 +70,7 @@ def judge(figures: Figures) -> Verdict:
             "epe": _at_most(f.epe_px, max(EPE_PX, EPE_SHARE * f.truth_px)),
             "w": _at_most(f.w_rms, max(W_DEG_S, W_SHARE * f.w_true_rms)),
             "v": v,
+            "answer": f.estimates > 0 if f.moving else None,
             "still": _at_most(f.still_wrong, 0.0),
             "nees": _all([_within(f.nees_w, NEES), _within(f.nees_v, NEES)]),
             "confident": _at_most(f.confident_wrong, CONFIDENT_PERCENT),

@@ -1,4 +1,4 @@
-"""The commands `replay` and `info`, and the demonstration of `make demo`.
+"""The installed commands, one file each, and the demonstration of `make demo`.
 
-`evaluate`, `label` and `simulate` stand in the folders of what they do.
+The node's command is `node/executable.py`.
 """

@@ -7,7 +7,7 @@ elsewhere become sharper, too, however few they are. Where it is at rest, they a
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.contrast import ImageContrast, contrast_gain
+from emoflow_ros.core.contrast import Contrast, contrast_gain
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.window_events import WindowEvents
 
@@ -22,7 +22,7 @@ _SHARPER = 1.1  # contrast of the events elsewhere, warped, over that as they ca
 
 
 def is_confined(
-    lattice: Lattice, contrast: ImageContrast, events: WindowEvents, flow: NDArray[np.float32],
+    lattice: Lattice, contrast: Contrast, events: WindowEvents, flow: NDArray[np.float32],
     evidence: Array,
 ) -> bool:  # fmt: skip
     """Tell whether only one spot of the image moves along the flow.

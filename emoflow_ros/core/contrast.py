@@ -9,9 +9,8 @@ A fit climbs the part of it that tells motion: the products of images of differe
 window. Within a quarter events lie close together whatever the flow, most of all those of noise.
 """
 
-from collections.abc import Callable
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,38 +32,6 @@ TAPS = np.array([_SIDE, 1 - 2 * _SIDE, _SIDE], np.float32)
 STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: it is costly, and a mean
 
 F32 = NDArray[np.float32]
-
-
-class ImageContrast(Protocol):
-    """A contrast as the lattice fit takes it, wherever it is computed; see Contrast."""
-
-    @property
-    def lattice(self) -> Lattice:
-        """Of the flow."""
-        ...
-
-    @property
-    def scale(self) -> float:
-        """Resolution: 1, or a part of it."""
-        ...
-
-    def sharpen(self, events: WindowEvents, flow: F32) -> float:
-        """Contrast of events warped to the middle by a flow (columns, rows, times, 2)."""
-        ...
-
-    def scores(self, events: WindowEvents, flows: F32) -> F32:
-        """Contrasts (n,) of events warped to the middle by constant flows (n, 2), px per window."""
-        ...
-
-    def linearise(self, events: WindowEvents, flow: F32, ref: float = 0.5) -> Cells:
-        """Gradient and curvature of the contrast between the window's parts.
-
-        The arrays are overwritten by the next call.
-        """
-        ...
-
-
-type ContrastFactory = Callable[[Lattice, float], ImageContrast]
 
 
 class Contrast:
@@ -157,7 +124,7 @@ def _load_kernels() -> None:
     derivatives.stiffen(*drawn, STIFFNESS_STRIDE, 1.0, cells.curvature)
 
 
-def contrast_gain(contrast: ImageContrast, events: WindowEvents, flow: F32) -> float:
+def contrast_gain(contrast: Contrast, events: WindowEvents, flow: F32) -> float:
     """Contrast of the warped events over that of the events as they came.
 
     0 where the latter is 0 but for rounding, because as many events of either polarity lie at each
@@ -168,7 +135,7 @@ def contrast_gain(contrast: ImageContrast, events: WindowEvents, flow: F32) -> f
     return sharp / as_came if as_came > _ROUNDING * sharp else 0.0
 
 
-def best_constant_flow(contrast: ImageContrast, events: WindowEvents, reach: float) -> F32:
+def best_constant_flow(contrast: Contrast, events: WindowEvents, reach: float) -> F32:
     """Search the constant flow of highest contrast, (2,) px per window.
 
     Args:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core import earlier_scene, second_look
-from emoflow_ros.core.contrast import ContrastFactory
-from emoflow_ros.core.doubt import Doubt
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.earlier_scene import EarlierScene, EarlierScenes, Recalled
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
@@ -31,7 +30,6 @@ class CrossCheck:
     Args:
         lattice: of the flow.
         epipolar: its constraint.
-        make_contrast: where the contrast is computed.
         config: of the estimator.
     """
 
@@ -39,20 +37,18 @@ class CrossCheck:
         self,
         lattice: Lattice,
         epipolar: NodeEpipolar,
-        make_contrast: ContrastFactory,
         config: LatticeConfig,
     ) -> None:
         scales = {*second_look.SCALES, *earlier_scene.SCALES}
-        contrasts = {scale: make_contrast(lattice, scale) for scale in sorted(scales)}
+        contrasts = {scale: Contrast(lattice, scale) for scale in sorted(scales)}
         self._second_look = SecondLook(lattice, contrasts, config)
         self._scenes = EarlierScenes(lattice, epipolar, contrasts, config)
-        self._doubt = Doubt()
         self._coarse, self._lattice = contrasts[min(scales)], lattice
         self._thread = ThreadPoolExecutor(1, "cross_check")
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the thread and what it works at, which a checkpoint cannot hold."""
-        kept = ("_second_look", "_scenes", "_doubt", "_coarse", "_lattice")
+        kept = ("_second_look", "_scenes", "_coarse", "_lattice")
         return {name: value for name, value in vars(self).items() if name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -61,9 +57,8 @@ class CrossCheck:
         self._thread = ThreadPoolExecutor(1, "cross_check")
 
     def forget(self) -> None:
-        """Forget earlier windows: their scenes, and how well they were confirmed."""
+        """Forget the scenes of earlier windows."""
         self._scenes.forget()
-        self._doubt.forget()
 
     def begin(self, window: Window, events: WindowEvents) -> None:
         """Begin with a window; the fit goes on meanwhile, where a core is free."""
@@ -93,24 +88,17 @@ class CrossCheck:
         """
         apart = partial(distance, self._lattice, flow, events=events)
         look = apart(self._looked.result())
-        moved = apart(np.zeros_like(flow))
         recalled = None if self._recalled is None else self._recalled.result()
         if recalled is None:
-            return Disagreement(look, moved)
-        return Disagreement(look, moved, apart(recalled.flow), recalled.w * window.duration)
+            return Disagreement(look)
+        return Disagreement(look, apart(recalled.flow), recalled.w * window.duration)
 
-    def doubt(self, apart: Disagreement) -> float:
-        """Tell how likely the fit is wrong, from 0 to 1."""
-        return self._doubt.weigh(apart)
-
-    def keep(self, estimate: Estimate, flow: F32, apart: Disagreement) -> None:
-        """Keep for later windows how well one was confirmed, and what it has shown.
+    def keep(self, estimate: Estimate, flow: F32) -> None:
+        """Keep for later windows what one has shown.
 
         Args:
             estimate: of the window.
             flow: (columns, rows, times, 2) px per window of the lattice.
-            apart: how far other explanations lie from it.
         """
-        self._doubt.remember(apart)
         if estimate.quality.second_look_px <= _CREDIBLE_PX:
             self._scenes.keep(EarlierScene.shown(estimate, flow))

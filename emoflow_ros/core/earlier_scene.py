@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief
-from emoflow_ros.core.contrast import ImageContrast
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
@@ -62,7 +62,7 @@ class KnownScene:
 
     def fit(
         self,
-        contrasts: Mapping[float, ImageContrast],
+        contrasts: Mapping[float, Contrast],
         steps: Sequence[tuple[float, int]],
         events: WindowEvents,
         duration: float,
@@ -206,7 +206,7 @@ class EarlierScenes:
         self,
         lattice: Lattice,
         epipolar: NodeEpipolar,
-        contrasts: Mapping[float, ImageContrast],
+        contrasts: Mapping[float, Contrast],
         config: LatticeConfig,
     ) -> None:
         self._lattice = lattice

@@ -19,13 +19,21 @@ _KEPT_SPEEDS = 1000  # speeds: seconds of any odometry
 
 
 class Status(StrEnum):
-    """Whether a window's estimate can be used, and if not, why."""
+    """Where a window's motion comes from; the last four: why there is none."""
 
-    OK = "ok"
+    OK = "ok"  # measured
+    STILL = "still"  # the events show that the camera is at rest (core.gauge)
+    CARRIED = "carried"  # not measured: the last motion goes on, and gets less sure
+    BOUNDED = "bounded"  # not measured for longer: the events only show how small it is
+    LOST = "lost"  # not measured for longer, and nothing bounds it
     TOO_FEW_EVENTS = "too_few_events"
     NO_MOTION = "no_motion"  # the events do not move together, as with a camera at rest
-    UNCERTAIN = "uncertain"  # an estimate that is too likely wrong
     DIVERGED = "diverged"
+
+    @property
+    def told(self) -> bool:
+        """Whether there is a motion: measured, at rest, carried on or bounded."""
+        return self in (Status.OK, Status.STILL, Status.CARRIED, Status.BOUNDED)
 
 
 class MotionModel(StrEnum):
@@ -65,6 +73,22 @@ class Motion(Protocol):
         ...
 
 
+class SpeedBound(Protocol):
+    """How fast the image moves at most, by the events of a window (core.gauge)."""
+
+    def speed(self, window: Window) -> float | None:
+        """Return px/s of the working image; None where the events do not tell."""
+        ...
+
+    def rotation_covariance(self, speed: float) -> NDArray[np.float64]:
+        """Covariance (3, 3), (rad/s)^2, of w = 0 where the image moves at a speed at most."""
+        ...
+
+    def rest_covariance(self, speed: float) -> NDArray[np.float64]:
+        """Covariance (6, 6) of (linear, angular) at rest: (m/s)^2 and (rad/s)^2."""
+        ...
+
+
 @dataclass(frozen=True)
 class Quality:
     """How far a window's estimate can be trusted.
@@ -72,7 +96,8 @@ class Quality:
     Attributes:
         events: events of the window that were used.
         iterations: steps of the optimiser.
-        stop_reason: `converged`, `iterations`, `deadline` or a Status value.
+        stop_reason: `converged`, `iterations`, `deadline`, or why nothing was measured: a Status
+            value, or `brightness` where the light has changed.
         contrast_gain: variance of the warped over that of the unwarped image (FWL).
         residual_px: robust scale of the epipolar residual over the window, in px.
         inlier_fraction: share of the residuals within 3 robust scales.
@@ -84,7 +109,6 @@ class Quality:
             px of the working image (core.second_look). NaN where not known.
         earlier_px: how far the flow by an earlier window's scene lies from this one, in px of the
             working image (core.earlier_scene). NaN where not known.
-        doubt: probability that the estimate is wrong (core.doubt); NaN where not known.
     """
 
     events: int
@@ -98,7 +122,6 @@ class Quality:
     change_px: float = float("nan")
     second_look_px: float = float("nan")
     earlier_px: float = float("nan")
-    doubt: float = float("nan")
 
 
 def _unknown_covariance() -> NDArray[np.float64]:
@@ -114,18 +137,20 @@ class Estimate:
     Attributes:
         t_start, t_end: the window, ns.
         t: the time that linear and angular hold at (the window's middle), ns.
-        status: whether the rest can be used.
+        status: where the motion comes from, or why there is none.
         model: which motion model the evidence supports.
         linear: (3,) unit direction of the camera's velocity in its optical frame; zeros
             where translation is not observable.
         angular: (3,) rad/s in the camera's optical frame.
         covariance: (6, 6) of (linear, angular), the order of ROS twists; [0, 0] is -1
-            where translation is not observable (REP-145's idiom).
-        flow: the flow field; None unless the status is OK. With a gyro it is None, too, where it is
-            doubtful (core.doubt) and where the events gave nothing.
-        motion: the egomotion over the window; None unless the status is OK.
+            where translation is not observable (REP-145's idiom). At rest linear is zero, and its
+            covariance is that of a velocity in m/s.
+        flow: the flow field; None unless the status is OK. With a gyro it is None, too, where the
+            events gave nothing.
+        motion: the egomotion over the window; None unless it is told.
         quality: the record behind the status.
         gyro: whether a gyro took part.
+        bound: what bounds the speed of later events; None where nothing does.
     """
 
     t_start: int
@@ -140,6 +165,12 @@ class Estimate:
     flow: FlowSampler | None = None
     motion: Motion | None = None
     gyro: GyroStatus = field(default_factory=GyroStatus)
+    bound: SpeedBound | None = None
+
+    @property
+    def told(self) -> bool:
+        """Whether there is a motion: measured, at rest, carried on or bounded."""
+        return self.status.told
 
     @property
     def by_events(self) -> Status:
@@ -151,7 +182,7 @@ class Estimate:
     @property
     def translation_observable(self) -> bool:
         """Whether `linear` carries a direction."""
-        return self.status is Status.OK and self.model in (
+        return self.told and self.model in (
             MotionModel.FULL,
             MotionModel.TRANSLATION,
         )

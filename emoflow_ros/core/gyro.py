@@ -5,7 +5,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.gyro_checks import (
     FreezeWatch,
     GyroFault,
@@ -15,6 +14,7 @@ from emoflow_ros.core.gyro_checks import (
     SteadyWatch,
     find_fault,
 )
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, Shape, fit_shape
 
 Array = NDArray[np.float64]

@@ -64,11 +64,6 @@ class LatticeConfig:
         minimum=0.0,
         maximum=60_000.0,
     )
-    device: str = option(
-        "cpu",
-        "where the contrast is computed; the small systems of equations stay on the processor",
-        choices=("cpu", "cuda"),
-    )
     model: str = option(
         "auto",
         "motion model: decided by the evidence, or fixed",
@@ -111,13 +106,6 @@ class LatticeConfig:
         "the same as max_events for the memory",
         minimum=1000,
         maximum=10_000_000,
-    )
-    max_doubt: float = option(
-        0.07,
-        "probability of failure above which a window gives no estimate but the status uncertain, "
-        "with a gyro no flow; 1 withholds none",
-        minimum=0.0,
-        maximum=1.0,
     )
 
     def __post_init__(self) -> None:

@@ -10,14 +10,14 @@ from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.belief import KnownRotation, MotionPrior
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.confinement import is_confined
-from emoflow_ros.core.contrast import Contrast, ContrastFactory, contrast_gain
+from emoflow_ros.core.contrast import contrast_gain
 from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -48,7 +48,6 @@ class LatticeEstimator:
     Args:
         camera: with its lens.
         config: see LatticeConfig.
-        make_contrast: where the contrast is computed.
         imu: how good the gyro is whose readings the windows bring.
     """
 
@@ -56,16 +55,15 @@ class LatticeEstimator:
         self,
         camera: Camera,
         config: LatticeConfig,
-        make_contrast: ContrastFactory = Contrast,
         imu: GyroConfig | None = None,
     ) -> None:
         self.config = config
         self._image = WorkingImage.of(camera)
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
-        self._fit = LatticeFit(self.lattice, self._epipolar, config, make_contrast)
+        self._fit = LatticeFit(self.lattice, self._epipolar, config)
         self._change = MotionChange(self._fit.contrasts[0.25])
-        self._check = CrossCheck(self.lattice, self._epipolar, make_contrast, config)
+        self._check = CrossCheck(self.lattice, self._epipolar, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._tremor = Tremor(self._image, self._epipolar, self._fit.contrasts)
         self._gyro = Gyro(imu or GyroConfig())
@@ -126,14 +124,13 @@ class LatticeEstimator:
                 len(events), stop, gain, warm=warm,
                 change_px=self._change.measure(events, fit.flow),
                 second_look_px=apart.second_look_px, earlier_px=apart.earlier_px,
-                doubt=self._check.doubt(apart),
             )  # fmt: skip
             result = self._result(window, quality, apart)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
-        self._check.keep(result, fit.flow, apart)
+        self._check.keep(result, fit.flow)
         if measurement is not None or fit.straight or self._late():
             return result
         return self._tremor.add_to(result, events, fit.flow)

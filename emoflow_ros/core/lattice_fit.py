@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.belief import INFORMATION_EXCESS, KnownRotation, MotionPrior, Structure
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, basis
 from emoflow_ros.core.constraints import add_constraint, add_structure
-from emoflow_ros.core.contrast import Contrast, ContrastFactory
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.egomotion import (
     BY_POINTS,
     MOTION_UNKNOWNS,
@@ -97,12 +97,11 @@ class LatticeFit:
         lattice: Lattice,
         epipolar: NodeEpipolar,
         config: LatticeConfig,
-        make_contrast: ContrastFactory = Contrast,
     ) -> None:
         self.lattice = lattice
         self.epipolar = epipolar
         self.config = config
-        self.contrasts = {scale: make_contrast(lattice, scale) for scale in SCALES}
+        self.contrasts = {scale: Contrast(lattice, scale) for scale in SCALES}
         self.flow = np.zeros(lattice.shape, np.float32)
         self.motion: Motion | None = None
         self.structure: Structure | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.contrast import ImageContrast
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.events import Window, WindowPolicy
 from emoflow_ros.core.jit import njit
@@ -173,7 +173,7 @@ class MotionChange:
         contrast: at a low resolution, whose maxima are wide.
     """
 
-    def __init__(self, contrast: ImageContrast) -> None:
+    def __init__(self, contrast: Contrast) -> None:
         self._contrast = contrast
 
     def measure(self, events: WindowEvents, flow: F32) -> float:

@@ -14,6 +14,13 @@ from typing import Any
 
 from emoflow_ros.errors import InputError
 
+# Options that only another method has, by name: what is wrong, and what to do.
+_OF_OTHERS = {
+    "estimator.device": (
+        "only the profiles paper* have a device, this one runs on the processor",
+        "leave it out",
+    ),
+}
 _EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?e[-+]?\d+", re.IGNORECASE)
 
 
@@ -106,6 +113,8 @@ def coerced(value: Any, default: Any, choices: tuple[str, ...]) -> Any:
 
 def unknown_option(name: str, known: Iterable[str]) -> InputError:
     """Refuse a name: with the nearest of the known ones, and those of its group or all."""
+    if name in _OF_OTHERS:
+        return InputError(name, *_OF_OTHERS[name])
     names = list(known)
     nearest = get_close_matches(name, names, n=1)
     group = f"{name.rpartition('.')[0]}."

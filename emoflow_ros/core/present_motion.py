@@ -4,10 +4,11 @@ A window's estimate holds at its middle, and comes after its last event by the t
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
 makes of it: that is six numbers (core.earlier_scene), for which a short slice of events is enough.
 The contrast of the slice's events and the window's estimate decide on w and v together. The
-estimate is carried on by the window's own change of w and a random walk, or by a gyro.
+estimate is carried on by the window's own change of w and a random walk, or by a gyro. How fast the
+image moves by the newest events bounds it (core.gauge): a camera that stops is at rest at once.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,23 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.earlier_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.egomotion import NodeEpipolar
-from emoflow_ros.core.estimate import Estimate, FlowSampler, PresentTwist, Status, Twist
+from emoflow_ros.core.estimate import (
+    Estimate,
+    FlowSampler,
+    PresentTwist,
+    SpeedBound,
+    Status,
+    Twist,
+)
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.gauge import REST_PX_S
 from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
-from emoflow_ros.core.gyro_measurement import GyroReadings, Shape, fit_shape
+from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.motion_prior import Known
 from emoflow_ros.core.preparation import WorkingImage, clean, prepare
+from emoflow_ros.core.present_scene import MEAN_NS, SeenScene, measured
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
@@ -32,64 +43,18 @@ _EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
 _STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
 _FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
-_MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single gyro readings
 # Largest age of the newest reading where the gyro alone tells the motion.
 _GYRO_FRESH_NS = 20 * NS_PER_MS
 # Variance of the change of w that was not predicted over its square: the scene has moved since, and
 # its depths are not exact.
 _CHANGE_ERROR = 0.2
+_NEWEST_NS = 20 * NS_PER_MS  # the newest part of a slice: it shows first that the camera stops
+# w over what the events allow, in standard deviations, that cannot be. The events' speed is known
+# within a factor of two.
+_TOO_FAST = 3.0
 _EXPECTED_DRIFT = 0.15  # of the configured one: what most recordings show
 _LEAST_SINCE_S = 0.01  # over which a change tells of the drift
-# Time in which an angular acceleration becomes smaller by a factor of e: this, or the window's
-# length if that is shorter, for the change within a short window is known less well.
-_FADES_S = 0.06
-_GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 _LIVE_GAP = 0.025**2  # (rad/s)^2, variance of the gap where readings end at the mean's middle
-
-
-@dataclass(frozen=True)
-class _Scene:
-    """What a window has shown near its end.
-
-    Attributes:
-        t: the time that motion and scene hold at, ns.
-        valid_until: the last time that it tells of, ns.
-        length_ns: of the window.
-        motion: (6,) w in rad/s and the unit direction v.
-        angular_acceleration: (3,) mean over the window, rad/s^2.
-        covariance: (6, 6) of the motion.
-        known: the scene; None where the window had no flow.
-        travels: whether v is known.
-        gyro: what the gyro measures around t, or None.
-    """
-
-    t: int
-    valid_until: int
-    length_ns: int
-    motion: Array
-    angular_acceleration: Array
-    covariance: Array
-    known: KnownScene | None
-    travels: bool
-    gyro: Shape | None
-
-    def predicted_change(self, t: int) -> Array:
-        """Change of w (3,) from the scene's time to t, ns: as in the window, but it fades."""
-        ahead, fades = (t - self.t) / NS_PER_S, min(_FADES_S, self.length_ns / NS_PER_S)
-        seconds = -fades * np.expm1(-ahead / fades) if ahead > 0 else ahead
-        return self.angular_acceleration * seconds
-
-    def change_by_gyro(self, gyro: GyroReadings | None, t: int) -> tuple[Array, float] | None:
-        """Change of w (3,) since the scene was seen as a gyro tells it, bias and all.
-
-        Returns:
-            The change, rad/s, and its variance in each axis. None without readings.
-        """
-        now = _measured(gyro, t)
-        if now is None or self.gyro is None:
-            return None
-        change = now.coefficients[0] - self.gyro.coefficients[0]
-        return change, _GYRO_ERROR**2 + now.gap_variance + self.gyro.gap_variance
 
 
 class PresentMotion:
@@ -109,7 +74,7 @@ class PresentMotion:
         self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
         self._contrasts = {scale: Contrast(self._lattice, scale) for scale, _ in _STEPS}
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
-        self._scene: _Scene | None = None
+        self._scene: SeenScene | None = None
 
     def know(self, estimate: Estimate, gyro: GyroReadings | None = None) -> None:
         """Take a window's estimate. After one that cannot be used there is no motion of now.
@@ -119,30 +84,32 @@ class PresentMotion:
             gyro: its readings.
         """
         self._scene = None
-        if estimate.status is Status.OK:
+        if estimate.told:
             self._scene = self._see(estimate, gyro)
 
     def estimate(self, window: Window) -> PresentTwist | None:
         """Estimate the motion at the end of a slice of events.
 
-        After a window without a flow (doubtful, or by the gyro alone) the gyro carries its motion
-        on.
+        After a window without a flow, and with too few events for a fit, the gyro carries the
+        motion on, or a random walk does.
 
         Args:
             window: the newest SLICE_MS of the events. Where fast motion has made the estimate's
-                window shorter, only so much of it is used.
+                window shorter, only so much of it is fitted.
 
         Returns:
-            None without an estimate of the last 600 ms to start from, and with too few events or,
-            after a window without a flow, without readings of the gyro from the last 20 ms.
+            None without a motion of the last 600 ms to start from.
         """
         scene = self._scene
         if scene is None or not scene.t < window.t_end <= scene.valid_until:
             return None
-        part = clean(window, self._image.sensor).since(window.t_end - scene.length_ns)
+        seen = clean(window, self._image.sensor)
+        part = seen.since(window.t_end - scene.length_ns)
         middle = (part.t_start + part.t_end) // 2
         gyro = None if _is_frozen(window) else window.gyro
         by_gyro = scene.change_by_gyro(gyro, middle)
+        if scene.known is None and not _is_fresh(window):
+            by_gyro = None
         drift, expected = self._drift.copy(), np.zeros(6)
         since = max(0, middle - scene.t) / NS_PER_S
         if by_gyro is None:
@@ -153,24 +120,31 @@ class PresentMotion:
         covariance = scene.covariance + np.diag(drift * since)
         covariance[:3, :3] += variance * np.eye(3)
         change = expected.copy()
-        if scene.known is not None:
-            if not self._fit(scene.known, part, change, covariance, 6 if scene.travels else 3):
-                return None
-        elif by_gyro is None or not _is_fresh(window):
-            return None
+        free = 6 if scene.travels else 3
+        fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
+        if (
+            fitted
+        ):  # the slice shows the change since; what the window took for turn or travel stays
+            covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
         if by_gyro is not None and at_end is not None:
             change[:3] += at_end[0] - by_gyro[0]
             late = max(0.0, at_end[1] - by_gyro[1] - _LIVE_GAP)  # of readings that end before now
             covariance[:3, :3] += late * np.eye(3)
-        else:
+        elif fitted or by_gyro is not None:
             surprise = change[:3] - expected[:3]
             unforeseen = change[:3] - scene.predicted_change(middle)
             change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
             drift[:3] = _drift_by(self._drift[0], unforeseen, max(since, _LEAST_SINCE_S))
             covariance[:3, :3] += _CHANGE_ERROR * float(surprise @ surprise) / 3 * np.eye(3)
+        else:
+            change[:3] = scene.predicted_change(window.t_end)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
-        return _read(window.t_end, scene, change, covariance)
+        found = _read(window.t_end, scene, change, covariance)
+        if found is None:
+            return None
+        own = scene.measured and (fitted or scene.known is None)
+        return _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
 
     def _fit(
         self, known: KnownScene, part: Window, change: Array, covariance: Array, free: int
@@ -192,15 +166,16 @@ class PresentMotion:
             return False
         return True
 
-    def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> _Scene:
+    def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> SeenScene:
         motion, length = estimate.motion, estimate.t_end - estimate.t_start
         assert motion is not None
-        t = max(estimate.t, estimate.t_end - _MEAN_NS)
+        own = estimate.status is Status.OK
+        t = max(estimate.t, estimate.t_end - MEAN_NS) if own else estimate.t
         w, v = motion.angular(t), motion.linear(t)
         change = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
         known = None if estimate.flow is None else self._shown(estimate.flow, t, w, v)
         used = estimate.gyro.state is GyroState.USED
-        return _Scene(
+        return SeenScene(
             t=t,
             valid_until=estimate.t + _LONGEST_NS,
             length_ns=length,
@@ -209,7 +184,9 @@ class PresentMotion:
             covariance=motion_covariance(estimate, v),
             known=known,
             travels=estimate.translation_observable,
-            gyro=_measured(gyro, t) if used else None,
+            gyro=measured(gyro, t) if used else None,
+            bound=estimate.bound,
+            measured=own,
         )
 
     def _shown(self, flow: FlowSampler, t: int, w: Array, v: Array) -> KnownScene:
@@ -249,18 +226,45 @@ def _is_fresh(window: Window) -> bool:
     return len(readings) > 0 and window.t_end - int(readings.t[-1]) <= _GYRO_FRESH_NS
 
 
-def _measured(gyro: GyroReadings | None, t: int) -> Shape | None:
-    """What a gyro's readings tell around a time; None if they are not there or not finite."""
-    if gyro is None:
-        return None
-    start, end = t - _MEAN_NS, t + _MEAN_NS
-    near = gyro.covering(start, end)
-    if len(near) == 0 or not np.isfinite(near.w).all():
-        return None
-    return fit_shape(near, start, end)
+def _held(
+    bound: SpeedBound | None, seen: Window, found: PresentTwist, *, measured: bool, by_gyro: bool
+) -> PresentTwist:
+    """Hold a motion against how fast the newest events let the image move.
+
+    What was not measured is held against it always. A motion that was measured is by far faster
+    than the events only where the camera has stopped, or slowed down, since.
+
+    Args:
+        bound: of the speed, or None.
+        seen: the newest events.
+        found: the motion.
+        measured: whether events told it.
+        by_gyro: whether a gyro told its w, which is left alone.
+    """
+    if bound is None:
+        return found
+    parts = (seen, seen.since(seen.t_end - _NEWEST_NS))
+    speeds = [speed for speed in map(bound.speed, parts) if speed is not None]
+    if not speeds:
+        return found
+    speed, twist = min(speeds), found.twist
+    of_rest = bound.rotation_covariance(speed)
+    motion = Known(twist.t, twist.linear, twist.angular, found.covariance)
+    too_fast = float(twist.angular @ np.linalg.solve(of_rest, twist.angular)) > _TOO_FAST**2
+    if not by_gyro and (too_fast or not measured):
+        if measured:  # all of it may be of before
+            covariance = motion.covariance.copy()
+            covariance[3:, 3:] += np.outer(twist.angular, twist.angular)
+            motion = replace(motion, covariance=covariance)
+        motion = motion.held_against(of_rest)
+    if speed <= REST_PX_S:
+        covariance = bound.rest_covariance(speed)
+        covariance[3:, 3:] = motion.covariance[3:, 3:]
+        motion = Known(twist.t, np.zeros(3), motion.angular, covariance)
+    return PresentTwist(Twist(twist.t, motion.linear, motion.angular), motion.covariance)
 
 
-def _read(t: int, scene: _Scene, change: Array, covariance: Array) -> PresentTwist | None:
+def _read(t: int, scene: SeenScene, change: Array, covariance: Array) -> PresentTwist | None:
     w, v = np.split(scene.motion + change, 2)
     length = float(np.linalg.norm(v))
     direction = v / length if scene.travels and length > 0 else np.zeros(3)

@@ -21,9 +21,6 @@ from emoflow_ros.core.uncertainty import Claims, Disagreement, PossibleMotions, 
 
 Array = NDArray[np.float64]
 
-# Times max_doubt: doubt about the flow above which it does not tell v, w being known.
-_UNKNOWN_TRAVEL = 2.0
-
 
 class EstimateReader:
     """Reads estimates off one window's fit after another.
@@ -178,7 +175,7 @@ class EstimateReader:
 def with_gyro(
     estimate: Estimate, measurement: GyroMeasurement | None, config: LatticeConfig
 ) -> Estimate:
-    """Let a gyro tell w, and the events v, unless the flow is too doubtful for that.
+    """Let a gyro tell w, and the events v.
 
     What the events know of w is in the gyro's bias by then: counted again in every window they
     would make w too sure, and no better. Where the events give nothing, the gyro alone tells w. A
@@ -196,10 +193,8 @@ def with_gyro(
     covariance[3:, 3:] = measurement.middle_covariance
     points = measurement.control_points()
     travel = np.zeros_like(points)
-    doubtful = estimate.quality.doubt > _UNKNOWN_TRAVEL * config.max_doubt
-    nothing = estimate.status is not Status.OK
     found = replace(estimate, status=Status.OK, angular=measurement.middle, covariance=covariance)
-    if nothing or (config.model == "auto" and doubtful):
+    if estimate.status is not Status.OK:
         found = replace(
             found,
             model=MotionModel.ROTATION,

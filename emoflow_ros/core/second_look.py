@@ -3,9 +3,9 @@
 A contrast has many local maxima, and a flow near a wrong one still has a high contrast. Only a
 comparison with the result of another start shows such an error. The lattice estimator compares at
 three places: it starts from the best of several flows, it drops a fit that a constant flow
-surpasses, and it measures the distance to a second fit that does not know the estimate, by which
-core.doubt tells how likely the estimate is wrong. The same fit, at a quick look, tells how long a
-first part of a window may be (core.motion_windows).
+surpasses, and it measures the distance to a second fit that does not know the estimate, which is
+a part of its covariance (core.uncertainty). The same fit, at a quick look, tells how long a first
+part of a window may be (core.motion_windows).
 """
 
 from collections.abc import Mapping
@@ -18,8 +18,6 @@ from threadpoolctl import ThreadpoolController
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import (
     Contrast,
-    ContrastFactory,
-    ImageContrast,
     best_constant_flow,
     contrast_gain,
 )
@@ -64,7 +62,7 @@ class SecondLook:
     """
 
     def __init__(
-        self, lattice: Lattice, contrasts: Mapping[float, ImageContrast], config: LatticeConfig
+        self, lattice: Lattice, contrasts: Mapping[float, Contrast], config: LatticeConfig
     ) -> None:
         self._equations = [
             NormalEquations(replace(lattice, times=times), 0) for _, _, times, _ in _STEPS
@@ -100,15 +98,12 @@ class QuickLook:
     Args:
         camera: with its lens.
         config: of the estimator.
-        make_contrast: where the contrast is computed.
     """
 
-    def __init__(
-        self, camera: Camera, config: LatticeConfig, make_contrast: ContrastFactory = Contrast
-    ) -> None:
+    def __init__(self, camera: Camera, config: LatticeConfig) -> None:
         self._image = WorkingImage.of(camera)
         self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
-        self._contrasts = {scale: make_contrast(self._lattice, scale) for scale in SCALES}
+        self._contrasts = {scale: Contrast(self._lattice, scale) for scale in SCALES}
         self._fit = SecondLook(self._lattice, self._contrasts, config)
         self._config = config
         self._threads = ThreadpoolController()
@@ -145,7 +140,7 @@ def distance(lattice: Lattice, one: F32, other: F32, events: WindowEvents) -> fl
     return float(length_at((one - other).mean(axis=2), few.x, few.y, lattice.per_px, _SHARE))
 
 
-def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) -> F32:
+def best_start(contrast: Contrast, events: WindowEvents, flows: list[F32]) -> F32:
     """Choose the flow (columns, rows, times, 2) that sharpens the events best.
 
     Args:
@@ -157,13 +152,13 @@ def best_start(contrast: ImageContrast, events: WindowEvents, flows: list[F32]) 
     return max(flows, key=lambda flow: contrast.sharpen(few, flow))
 
 
-def cold_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
+def cold_start(contrast: Contrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
     """Search the constant flow like `fresh_start`, but further and with more events."""
     few = events.every(max(1, len(events) // _SEARCH_EVENTS))
     return np.zeros(shape, np.float32) + best_constant_flow(contrast, few, _SEARCH_REACH_PX)
 
 
-def fresh_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
+def fresh_start(contrast: Contrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
     """Search the constant flow of this shape that sharpens the events best, knowing nothing.
 
     Args:
@@ -173,7 +168,7 @@ def fresh_start(contrast: ImageContrast, events: WindowEvents, shape: tuple[int,
     return np.zeros(shape, np.float32) + best_constant_flow(contrast, _some(events), _REACH_PX)
 
 
-def is_lost(contrast: ImageContrast, events: WindowEvents, flow: F32, fresh: F32) -> bool:
+def is_lost(contrast: Contrast, events: WindowEvents, flow: F32, fresh: F32) -> bool:
     """Tell whether one constant flow, searched afresh, sharpens the events better than a fit does.
 
     Args:

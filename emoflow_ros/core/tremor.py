@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.contrast import ImageContrast
+from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.earlier_scene import KnownScene
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate
@@ -46,7 +46,7 @@ class Tremor:
         self,
         image: WorkingImage,
         epipolar: NodeEpipolar,
-        contrasts: Mapping[float, ImageContrast],
+        contrasts: Mapping[float, Contrast],
     ) -> None:
         self._image = image
         self._epipolar = epipolar

@@ -117,13 +117,11 @@ class Disagreement:
 
     Attributes:
         second_look_px: distance to a fresh fit of the flow, px per window.
-        moved_px: the length that the flow keeps to at three quarters of the events, px per window.
         earlier_px: distance to the flow by an earlier scene, px per window; NaN without one.
         w: (3,) angular velocity by that scene, rad per window; None without one.
     """
 
     second_look_px: float
-    moved_px: float
     earlier_px: float = float("nan")
     w: Array | None = None
 

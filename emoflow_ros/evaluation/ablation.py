@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from emoflow_ros.core.config import Config
+from emoflow_ros.config import Config
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Window
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.options import replace_options
@@ -16,8 +15,8 @@ from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.slicers import Slicer
 from emoflow_ros.evaluation.summary import summarise
 from emoflow_ros.evaluation.window_run import Evaluation, evaluate
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.readers import Recording
-from emoflow_ros.report.documents import format_number
 
 _Overrides = dict[str, Any]
 
@@ -181,22 +180,6 @@ def ablate(
             return Ablation(name, tuple(rows), interrupted=True)
         rows.append(_row(variant, run))
     return Ablation(name, tuple(rows))
-
-
-def table_of(ablation: Ablation) -> str:
-    """Lay the rows out as text, for the terminal."""
-    heads = ("EPE px", "out %", "RMS w deg/s", "v deg", "s/window")
-    lines = [f"{'ablation: ' + ablation.name:<36}" + "".join(f"{head:>13}" for head in heads)]
-    for row in ablation.rows:
-        values = (
-            format_number(row.epe_px),
-            format_number(row.out_percent),
-            format_number(row.angular_rms_deg_s),
-            format_number(row.direction_error_deg, 1),
-            format_number(row.seconds_per_window, 3),
-        )
-        lines.append(f"  {row.name:<34}" + "".join(f"{value:>13}" for value in values))
-    return "\n".join(lines)
 
 
 class ColdStarts:

@@ -52,7 +52,6 @@ QUALITY = {
     "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
     "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
     "inlier_fraction": Column((), "f8", "1", "share of the residuals within 3 robust scales"),
-    "doubt": Column((), "f8", "1", "probability that the flow or, without a gyro, w or v is wrong"),
     "warm": Column((), "?", "", "whether the window before was the start"),
     "runtime_s": Column((), "f8", "s", "wall time of the estimate"),
 }
@@ -71,7 +70,7 @@ COLUMNS = {
         "z forward); zeros where not observable",
     ),
     "angular": Column(
-        (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN unless status is ok"
+        (3,), "f8", "rad/s", "angular velocity in the optical frame; NaN where status tells none"
     ),
     "covariance": Column(
         (6, 6),
@@ -79,7 +78,7 @@ COLUMNS = {
         "1, rad/s",
         "of (linear, angular); [0, 0] is -1 where translation is not observable",
     ),
-    "status": Column((), TEXT, "", "ok, or why there is no estimate"),
+    "status": Column((), TEXT, "", "ok, still, carried, bounded, or why there is no motion"),
     "model": Column((), TEXT, "", "full, rotation, translation or static"),
     **QUALITY,
 }
@@ -101,7 +100,6 @@ def quality_values(
         "contrast_gain": quality.contrast_gain,
         "residual_px": quality.residual_px,
         "inlier_fraction": quality.inlier_fraction,
-        "doubt": quality.doubt,
         "warm": quality.warm,
         "runtime_s": quality.runtime_s,
     }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import emoflow_ros
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Status
+from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import (
@@ -118,7 +118,7 @@ class EstimatesWriter:
 
         `window_events` counts all events from the estimate's t_start to its t_end.
         """
-        ok = estimate.status is Status.OK
+        ok = estimate.told
         values: dict[str, Any] = {
             "t_start": estimate.t_start / NS_PER_S,
             "t_end": estimate.t_end / NS_PER_S,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.gyro_checks import AXES, UNITS, axis_names
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.evaluation.window_results import WindowResult
 

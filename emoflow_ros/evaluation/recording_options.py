@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from emoflow_ros.core.config import Config, GyroConfig
+from emoflow_ros.config import Config
 from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import BenchmarkSequence

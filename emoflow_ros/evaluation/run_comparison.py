@@ -1,8 +1,6 @@
-"""`evaluate compare`: several runs side by side, and whether they differ."""
+"""Several runs side by side, and whether they differ."""
 
-import argparse
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.metrics import bootstrap_interval, paired_p_value
-from emoflow_ros.evaluation.recording_options import make_folder
-from emoflow_ros.report.documents import render, svg_uri, write_json
-from emoflow_ros.report.figures import runs_over_time
 
-_TEMPLATE = "comparison.html.j2"
 # Errors per window: name in report.json, label, unit; less is better.
 ERRORS = (
     ("epe_px", "Flow EPE", "px"),
@@ -27,7 +21,6 @@ ERRORS = (
     ("direction_error_deg", "Direction error of v", "deg"),
     ("runtime_s", "Time per window", "s"),
 )
-_CHARTS = ("epe_px", "angular_error_deg_s", "direction_error_deg")
 
 
 @dataclass(frozen=True)
@@ -78,31 +71,6 @@ class Difference:
         return self.p < 0.05
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Compare the runs named on the command line."""
-    parser = argparse.ArgumentParser(
-        prog="evaluate compare",
-        description="Put runs of 'evaluate' side by side and test whether they differ from the "
-        "first one, window by window.",
-        epilog="example: evaluate compare out/run1 out/run2 --out out/comparison",
-    )
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a run")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/comparison"),
-        metavar="DIR",
-        help="folder for comparison.html and comparison.json (default: out/comparison)",
-    )
-    options = parser.parse_args(arguments)
-    runs = [load_run(path) for path in options.runs]
-    if len(runs) < 2:
-        raise InputError(options.runs[0], "one run alone", "give two or more to compare")
-    make_folder(options.out)
-    print(write_comparison(runs, options.out))
-    return 0
-
-
 def load_run(folder: Path) -> Run:
     """Read a run's report.
 
@@ -121,46 +89,6 @@ def load_run(folder: Path) -> Run:
         reason = " ".join(str(error).split())
         raise InputError(path, f"not a report ({reason})", fix) from None
     return Run(folder.name, report)
-
-
-def write_comparison(runs: Sequence[Run], folder: Path) -> Path:
-    """Write comparison.json and comparison.html; all other runs are compared with the first one.
-
-    Raises:
-        InputError: a run that has no window in common with the first one.
-    """
-    differences = [d for run in runs[1:] for d in compare(runs[0], run)]
-    names = list(dict.fromkeys(key for run in runs for key in run.report["configuration"]))
-    settings = {name: [run.report["configuration"].get(name) for run in runs] for name in names}
-    changed = {name: values for name, values in settings.items() if len(set(map(str, values))) > 1}
-    measures = {
-        key: [run.report["summary"].get(key) for run in runs]
-        for key in dict.fromkeys(key for run in runs for key in run.report["summary"])
-    }
-    charts = [
-        (label, runs_over_time([(run.name, run.series(key)) for run in runs], label, unit))
-        for key, label, unit in ERRORS
-        if key in _CHARTS
-    ]
-    write_json(
-        folder / "comparison.json",
-        {
-            "runs": [run.name for run in runs],
-            "differences": [vars(d) | {"significant": d.significant} for d in differences],
-            "changed_options": changed,
-        },
-    )
-    page = folder / "comparison.html"
-    text = render(
-        _TEMPLATE,
-        runs=runs,
-        measures=measures,
-        differences=differences,
-        changed=changed,
-        charts=[(title, svg_uri(chart)) for title, chart in charts if chart],
-    )
-    page.write_text(text, encoding="utf-8")
-    return page
 
 
 def compare(first: Run, other: Run) -> list[Difference]:

@@ -21,6 +21,7 @@ from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Estimate, Estimator
 from emoflow_ros.core.events import Window
 from emoflow_ros.errors import InputError
+from emoflow_ros.evaluation.relative_speed import RelativeSpeed
 from emoflow_ros.evaluation.slicers import Slicer
 from emoflow_ros.evaluation.track_errors import ComparedTracks, TrackComparer
 from emoflow_ros.evaluation.window_results import WindowResult
@@ -141,6 +142,7 @@ class Progress:
         covered: counts the events of their windows.
         gallery: the windows kept for pictures.
         tracker: carries points along, if wanted.
+        pace: how fast the camera goes, relative to earlier.
         wall_s: time that the run has taken so far, s.
     """
 
@@ -153,6 +155,7 @@ class Progress:
     covered: DistinctEvents = field(default_factory=DistinctEvents)
     gallery: Gallery = field(default_factory=Gallery)
     tracker: TrackComparer | None = None
+    pace: RelativeSpeed = field(default_factory=RelativeSpeed)
     wall_s: float = 0.0
 
 

@@ -8,7 +8,12 @@ import numpy as np
 
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.evaluation.metrics import Statistic, Values, bootstrap_interval
-from emoflow_ros.evaluation.trajectory_errors import RELATIVE_SPAN_S, longest, trajectories
+from emoflow_ros.evaluation.trajectory_errors import (
+    RELATIVE_SPAN_S,
+    local_path,
+    longest,
+    trajectories,
+)
 from emoflow_ros.evaluation.window_results import WindowResult
 from emoflow_ros.truth import Truth
 
@@ -49,6 +54,7 @@ def summarise(windows: Sequence[WindowResult], speed: float | None = None) -> li
             *_tracks(windows),
             *_velocity(windows),
             *_trajectory(windows, speed),
+            *_local_trajectory(windows),
             *_effort(windows),
         ]
     )
@@ -121,7 +127,7 @@ def _velocity(windows: Sequence[WindowResult]) -> list[Measure]:
 
 def _angular(windows: Sequence[WindowResult]) -> list[Measure]:
     squares = [np.degrees(w.angular_error) ** 2 for w in windows]
-    true = [np.degrees(w.truth.angular) ** 2 for w in windows if w.ok and w.truth]
+    true = [np.degrees(w.truth.angular) ** 2 for w in windows if w.told and w.truth]
     axis = [w.axis_error_deg for w in windows]
     ratio = [w.rate_ratio for w in windows]
     return [
@@ -141,7 +147,7 @@ def _angular(windows: Sequence[WindowResult]) -> list[Measure]:
 
 def _linear(windows: Sequence[WindowResult]) -> list[Measure]:
     errors = [w.direction_error_deg for w in windows]
-    known = [w for w in windows if w.ok and np.isfinite(w.true_direction).all()]
+    known = [w for w in windows if w.told and np.isfinite(w.true_direction).all()]
     observed = [100.0 * np.isfinite(w.linear).all() for w in known]
     return [
         _measure("direction_error_deg", "Direction error of v (median)", "deg", errors),
@@ -196,6 +202,23 @@ def _trajectory(windows: Sequence[WindowResult], speed: float | None) -> list[Me
             _rms,
         ),
         _measure(f"{key}ate_m", f"ATE, aligned as a rigid body{oracle}", "m", absolute, _rms),
+    ]
+
+
+def _local_trajectory(windows: Sequence[WindowResult]) -> list[Measure]:
+    """Errors of the longest run up to scale, after a similarity alignment."""
+    run = local_path(windows)
+    if run is None:
+        return []
+    span = f"over {RELATIVE_SPAN_S:g} s"
+    errors, ways = run.relative_errors(RELATIVE_SPAN_S).T, run.ways(RELATIVE_SPAN_S)
+    drift, turn = (list(zip(of, ways, strict=True)) for of in errors)
+    absolute = run.absolute_errors.tolist()
+    return [
+        _measure("sim3_ate_m", "ATE, aligned by a similarity", "m", absolute, _rms),
+        _measure("way_m", "True way of the same run", "m", [run.length], np.mean),
+        _measure("drift_percent", f"Drift of position {span} / way", "%", drift, _percent_of_truth),
+        _measure("drift_deg_m", f"Drift of rotation {span} / way", "deg/m", turn, _per_truth),
     ]
 
 
@@ -260,10 +283,15 @@ def _percentile_95(values: Values, axis: int) -> Values:
 
 def _percent_of_truth(pairs: Values, axis: int) -> Values:
     """Mean error in percent of the mean true length, from (error, length) rows."""
+    return 100 * _per_truth(pairs, axis)
+
+
+def _per_truth(pairs: Values, axis: int) -> Values:
+    """Mean error over the mean true length, from (error, length) rows."""
     mean = pairs.mean(axis=axis)
     error, length = mean[..., 0], mean[..., 1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(length > 0, 100 * error / length, np.nan))
+        return np.asarray(np.where(length > 0, error / length, np.nan))
 
 
 def _recorded_per_compute(pairs: Values, axis: int) -> Values:

@@ -1,8 +1,11 @@
-"""The trajectory that estimated velocities add up to, and its errors against true poses."""
+"""The trajectory that estimated velocities add up to, and its errors against true poses.
+
+The definitions are those of the package `evo` (github.com/MichaelGrupp/evo), which a test compares.
+"""
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +16,7 @@ from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.evaluation.window_results import WindowResult
 
 RELATIVE_SPAN_S = 1.0
+_FEWEST_POSES = 4  # a similarity has 7 unknowns: it fits any two positions exactly
 Poses = NDArray[np.float64]
 Points = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -38,11 +42,33 @@ class Trajectory:
 
         The rotation and translation of least squares (Umeyama, PAMI 1991, scale 1).
         """
-        ours, true = self.estimated[:, :3, 3], self.true[:, :3, 3]
+        return self._turned + self.true[:, :3, 3].mean(axis=0)
+
+    @property
+    def _turned(self) -> Points:
+        """Estimated positions (N, 3) around their mean, turned onto the true ones."""
+        ours, true = (_around_mean(poses[:, :3, 3]) for poses in (self.estimated, self.true))
         with warnings.catch_warnings():  # on a straight line the roll is arbitrary
             warnings.simplefilter("ignore", UserWarning)
-            rotation, _ = Rotation.align_vectors(true - true.mean(axis=0), ours - ours.mean(axis=0))
-        return np.asarray(rotation.apply(ours - ours.mean(axis=0)) + true.mean(axis=0))
+            rotation, _ = Rotation.align_vectors(true, ours)
+        return np.asarray(rotation.apply(ours))
+
+    @property
+    def best_scale(self) -> float:
+        """Factor of the estimated lengths in the similarity of least squares (Umeyama)."""
+        turned = self._turned
+        along = (turned * _around_mean(self.true[:, :3, 3])).sum()
+        return float(along / (turned**2).sum())
+
+    def scaled(self) -> "Trajectory":
+        """Return the same run, its estimated lengths at the best scale.
+
+        Aligned as a rigid body then, it is aligned by a similarity: the rotation does not depend
+        on the scale.
+        """
+        estimated = self.estimated.copy()
+        estimated[:, :3, 3] *= self.best_scale
+        return replace(self, estimated=estimated)
 
     @property
     def absolute_errors(self) -> NDArray[np.float64]:
@@ -57,8 +83,18 @@ class Trajectory:
     @property
     def length(self) -> float:
         """Length of the true path, m."""
+        return float(self._way[-1])
+
+    @property
+    def _way(self) -> NDArray[np.float64]:
+        """Length (N,) of the true path up to each pose, m."""
         steps = np.diff(self.true[:, :3, 3], axis=0)
-        return float(np.linalg.norm(steps, axis=-1).sum())
+        return np.concatenate([[0.0], np.linalg.norm(steps, axis=-1).cumsum()])
+
+    def ways(self, span_s: float) -> NDArray[np.float64]:
+        """Lengths (M,) in m of the true path over the spans of `relative_errors`."""
+        starts, ends = self._spans(span_s)
+        return np.asarray(self._way[ends] - self._way[starts])
 
     def relative_errors(self, span_s: float) -> NDArray[np.float64]:
         """Errors of the motion over `span_s` or just above (Sturm et al., IROS 2012).
@@ -70,14 +106,18 @@ class Trajectory:
             (M, 2), translation in m and rotation in degrees, for every start that the run holds
             a pose of `span_s` later for; their RMS is the RPE.
         """
-        ends = np.searchsorted(self.times, self.times + max(1, round(span_s * NS_PER_S)))
-        starts = np.flatnonzero(ends < len(self.times))
-        ends = ends[starts]
+        starts, ends = self._spans(span_s)
         ours = np.linalg.inv(self.estimated[starts]) @ self.estimated[ends]
         true = np.linalg.inv(self.true[starts]) @ self.true[ends]
         off = np.linalg.inv(true) @ ours
         angles = Rotation.from_matrix(off[:, :3, :3]).magnitude() if len(off) else np.empty(0)
         return np.stack([np.linalg.norm(off[:, :3, 3], axis=-1), np.degrees(angles)], axis=-1)
+
+    def _spans(self, span_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First and last poses (M,) of all spans that the run holds."""
+        ends = np.searchsorted(self.times, self.times + max(1, round(span_s * NS_PER_S)))
+        starts = np.flatnonzero(ends < len(self.times))
+        return starts, ends[starts]
 
 
 def trajectories(windows: Sequence[WindowResult], speed: float | None = None) -> list[Trajectory]:
@@ -93,6 +133,28 @@ def trajectories(windows: Sequence[WindowResult], speed: float | None = None) ->
     Returns:
         The runs of at least two windows.
     """
+    return [
+        _integrated(run, _true_speeds(run) if speed is None else np.full(len(run), speed))
+        for run in _unbroken(windows)
+    ]
+
+
+def local_path(windows: Sequence[WindowResult]) -> Trajectory | None:
+    """Integrate the longest run up to scale, and scale it to the truth as a whole.
+
+    The speeds are the relative ones of the windows. Where none is known, they lie between those
+    before and after; where the run has none at all, it is taken to have one speed.
+
+    Returns:
+        None without a run of poses enough for a similarity to leave errors, or where nothing moves.
+    """
+    run = longest([_integrated(run, _relative_speeds(run)) for run in _unbroken(windows)])
+    if run is None or len(run.times) < _FEWEST_POSES or not run.has_translation:
+        return None
+    return run.scaled()
+
+
+def _unbroken(windows: Sequence[WindowResult]) -> list[list[WindowResult]]:
     runs: list[list[WindowResult]] = [[]]
     for window in windows:
         usable = window.pose is not None and np.isfinite(window.angular).all()
@@ -100,7 +162,7 @@ def trajectories(windows: Sequence[WindowResult], speed: float | None = None) ->
             runs.append([])
         if usable:
             runs[-1].append(window)
-    return [_integrated(run, speed) for run in runs if len(run) > 1]
+    return [run for run in runs if len(run) > 1]
 
 
 def integrate(times: Times, angular: Points, linear: Points) -> Poses:
@@ -131,21 +193,38 @@ def longest(runs: Sequence[Trajectory]) -> Trajectory | None:
     return max(runs, key=lambda run: int(run.times[-1] - run.times[0]), default=None)
 
 
-def _integrated(run: Sequence[WindowResult], speed: float | None) -> Trajectory:
-    times = np.array([window.t for window in run])
-    true = np.stack([window.pose for window in run if window.pose is not None])
+def _integrated(run: Sequence[WindowResult], speeds: NDArray[np.float64]) -> Trajectory:
+    times, true = _times(run), _true_poses(run)
     directions = np.nan_to_num([window.linear for window in run])
-    speeds = _true_speeds(run, times, true) if speed is None else np.full(len(run), speed)
     angular = np.array([window.angular for window in run])
     return Trajectory(times, integrate(times, angular, speeds[:, None] * directions), true)
 
 
-def _true_speeds(run: Sequence[WindowResult], times: Times, true: Poses) -> NDArray[np.float64]:
+def _times(run: Sequence[WindowResult]) -> Times:
+    return np.array([window.t for window in run])
+
+
+def _true_poses(run: Sequence[WindowResult]) -> Poses:
+    return np.stack([window.pose for window in run if window.pose is not None])
+
+
+def _relative_speeds(run: Sequence[WindowResult]) -> NDArray[np.float64]:
+    """Speeds (N,) up to one factor for the run."""
+    speeds, times = np.array([window.relative_speed for window in run]), _times(run)
+    known = np.isfinite(speeds)
+    return np.interp(times, times[known], speeds[known]) if known.any() else np.ones(len(run))
+
+
+def _true_speeds(run: Sequence[WindowResult]) -> NDArray[np.float64]:
     """True speed (N,) in m/s at the windows' middles; where unknown, that of the poses' steps."""
-    slopes = np.gradient(true[:, :3, 3], times / NS_PER_S, axis=0)
+    slopes = np.gradient(_true_poses(run)[:, :3, 3], _times(run) / NS_PER_S, axis=0)
     return np.array(
         [
             np.linalg.norm(slope if w.truth is None or w.truth.linear is None else w.truth.linear)
             for w, slope in zip(run, slopes, strict=True)
         ]
     )
+
+
+def _around_mean(points: Points) -> Points:
+    return points - points.mean(axis=0)

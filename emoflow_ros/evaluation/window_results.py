@@ -49,6 +49,7 @@ class WindowResult:
         other_truths: the velocity that each of Truth.other_twists says.
         pose: true world-from-camera (4, 4) at the window's middle, where known.
         gyro: whether a gyro took part, and if not, why: a GyroStatus in words.
+        relative_speed: the camera's, up to one factor for the recording; NaN where unknown.
     """
 
     index: int
@@ -69,6 +70,7 @@ class WindowResult:
     other_truths: tuple[TrueTwist | None, ...] = ()
     pose: NDArray[np.float64] | None = None
     gyro: str = ""
+    relative_speed: float = float("nan")
 
     @property
     def t(self) -> int:
@@ -77,8 +79,13 @@ class WindowResult:
 
     @property
     def ok(self) -> bool:
-        """Whether there is an estimate."""
+        """Whether the motion was measured."""
         return self.status == Status.OK
+
+    @property
+    def told(self) -> bool:
+        """Whether a motion is told: measured, at rest, carried on or bounded."""
+        return Status(self.status).told
 
     @property
     def translation_observable(self) -> bool:
@@ -153,7 +160,7 @@ def assess(
     is known (finite, |u| > 0 and |v| > 0), or at all whose truth is known; see TrueFlow.
     """
     part = compared_part(window)
-    ok = estimate.status is Status.OK
+    told = estimate.told
     observable = estimate.translation_observable
     variance = np.diag(estimate.covariance).astype(np.float64)
     flow, static_flow = _compare_flow(part, estimate, truth)
@@ -161,7 +168,7 @@ def assess(
     if part is not window and estimate.motion is not None:
         t = (part.t_start + part.t_end) // 2
         linear, angular = estimate.motion.linear(t), estimate.motion.angular(t)
-    known = ok & (variance >= 0) & ((np.arange(6) >= 3) | observable)
+    known = told & (variance >= 0) & ((np.arange(6) >= 3) | observable)
     return WindowResult(
         index=index,
         t_start=part.t_start,
@@ -170,7 +177,7 @@ def assess(
         status=str(estimate.status),
         model=str(estimate.model),
         linear=np.where(observable, linear, np.nan),
-        angular=np.where(ok, angular, np.nan),
+        angular=np.where(told, angular, np.nan),
         sigma=np.sqrt(np.where(known, variance, np.nan)),
         truth=truth.twists.twist(t) if truth.twists else None,
         flow=flow,

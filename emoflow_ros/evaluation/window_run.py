@@ -6,7 +6,7 @@ A thread compares a window's estimate while the next window is estimated.
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -275,6 +275,7 @@ def _compare(
     tracks = tracker.follow(estimate, truth) if tracker else None
     track_errors = tracks.errors if tracks else None
     result = assess(len(progress.windows), window, estimate, truth, note, track_errors)
+    result = replace(result, relative_speed=progress.pace.follow(estimate))
     if writer is not None:
         writer.append(estimate, len(window.events), tracks)
     part = compared_part(window)

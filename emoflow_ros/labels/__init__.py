@@ -1,4 +1,4 @@
-"""The command `label`: flow labels of many recordings, for training.
+"""What `label` does: flow labels of many recordings, for training.
 
 One process makes them chunk by chunk, or the workers of a Ray cluster.
 """

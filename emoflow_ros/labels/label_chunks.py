@@ -22,11 +22,10 @@ import h5py
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Window, WindowPolicy
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import COLUMNS, TEXT, Column
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, lacking
@@ -34,6 +33,7 @@ from emoflow_ros.evaluation.metrics import event_mask
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.slicers import Interval, IntervalSlicer
 from emoflow_ros.evaluation.window_run import attempt
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.readers import Recording
 from emoflow_ros.readers.stream_check import StreamCheck
 

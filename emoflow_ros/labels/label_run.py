@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 from tqdm import tqdm
 
-from emoflow_ros.core.config import Config
+from emoflow_ros.config import Config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError

@@ -97,8 +97,8 @@ class Statistics:
         self._last_result = result
         self.load.add(result)
         self.counts["pictures_left_out"] += result.left_out
-        if result.estimate.status is not Status.OK:
-            self.stream.miss(result.estimate.status)
+        if not result.estimate.told:
+            self.stream.miss(result.estimate.status, result.estimate.quality.stop_reason)
 
     def add_dropped(self, task: Task, reason: str) -> None:
         """Count a window that was dropped for this reason, and its events.

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings
 from emoflow_ros.node.tasks import Task
 

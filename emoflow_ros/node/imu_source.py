@@ -15,9 +15,9 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu
 
-from emoflow_ros.core.config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import fetch_waiting
 from emoflow_ros.node.imu_input import ImuInput, MountingError

@@ -17,14 +17,15 @@ def published_covariance(
     Args:
         covariance: that of the unit direction and the angular velocity, (6, 6); [0, 0] is -1 where
             translation is not observable.
-        direction: of travel, (3,), of unit length where it is observable.
+        direction: of travel, (3,), of unit length where it is observable, zeros at rest.
         speed: what the direction is multiplied by, taken as exact, m/s; None: its length is no
             speed.
         form: WIDE gives the variance UNKNOWN to what nothing is known of: all of linear where
             translation is not observable, and without a speed the length along the direction.
             REP_145 keeps the mark of -1, and 0 elsewhere.
     """
-    scaled = covariance_at_speed(covariance, 1.0 if speed is None else speed)
+    at_rest = covariance[0, 0] >= 0 and not direction.any()  # in m/s already
+    scaled = covariance_at_speed(covariance, 1.0 if speed is None or at_rest else speed)
     if form == REP_145:
         return scaled
     wide = scaled.copy()

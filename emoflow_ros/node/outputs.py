@@ -9,21 +9,26 @@ from rclpy.lifecycle import LifecycleNode
 
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.wide import why_wide
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.diagnostics_topic import to_status
 from emoflow_ros.node.picture_output import PictureOutput
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.scale import Scale
 from emoflow_ros.node.settings import NodeOptions, ScaleOptions
+from emoflow_ros.node.stream_watch import HELD_BACK
 from emoflow_ros.node.target_frame import NoTransformError
 from emoflow_ros.node.tasks import Present, Result, Task, Wishes
-from emoflow_ros.node.twist_output import TwistOutput, make_publisher
+from emoflow_ros.node.twist_output import HeldBack, TwistOutput, make_publisher
 
 _LEVELS = {
     Status.OK: Level.OK,
+    Status.STILL: Level.OK,
+    Status.CARRIED: Level.WARN,
+    Status.BOUNDED: Level.WARN,
+    Status.LOST: Level.WARN,
     Status.TOO_FEW_EVENTS: Level.WARN,
     Status.NO_MOTION: Level.WARN,
-    Status.UNCERTAIN: Level.WARN,
     Status.DIVERGED: Level.ERROR,
 }
 
@@ -71,18 +76,20 @@ class Outputs:
     def publish(self, result: Result) -> None:
         """Publish a window's status, and its estimate if there is one."""
         scaling = self._scale.at(result.stamp)
-        problems = {"scale": scaling.problem}
-        if result.estimate.status is Status.OK:
+        problems, notes = {"scale": scaling.problem}, []
+        if result.estimate.told:
             # Pictures first: under load twists sent before a flow image, which is larger than Fast
             # DDS's shared memory (512 KiB), came seconds late or never.
             self._pictures.publish(result)
-            problems["frame"] = self._publish_twists(result, scaling.speed)
+            problems["frame"], held_back = self._publish_twists(result, scaling.speed)
+            notes = [held_back]
         for part, problem in problems.items():
             self._statistics.clear_problem(part)
             if problem:
                 self._statistics.set_problem(part, Level.WARN, problem)
         found = [problem for problem in problems.values() if problem]
-        self._publish_status(judge_result(result, self._now(), scaling.source, found))
+        report = judge_result(result, self._now(), scaling.source, found, notes)
+        self._publish_status(report)
 
     def publish_present(self, present: Present) -> None:
         """Publish the motion of now."""
@@ -100,14 +107,17 @@ class Outputs:
         """Publish the status of a window that the worker failed at for this reason."""
         self._publish_status(judge_failed(task, reason, self._now()))
 
-    def _publish_twists(self, result: Result, speed: float | None) -> str:
-        """Publish the twists, or say why not."""
+    def _publish_twists(self, result: Result, speed: float | None) -> tuple[str, str]:
+        """Publish the twists, or tell what is wrong, and what is held back as it was asked for."""
         try:
-            self._twists.publish(result, speed)
+            held_back = self._twists.publish(result, speed)
         except NoTransformError as error:
-            return f"{error}; no twist is published"
-        self._statistics.stream.give()
-        return ""
+            return f"{error}; no twist is published", ""
+        if held_back is HeldBack.TWIST:
+            self._statistics.stream.miss(HELD_BACK)
+        else:
+            self._statistics.stream.give()
+        return "", held_back
 
     def _publish_status(self, report: Report) -> None:
         name = self._node.get_fully_qualified_name()
@@ -118,7 +128,11 @@ class Outputs:
 
 
 def judge_result(
-    result: Result, now: int, scale: str = "none", problems: Sequence[str] = ()
+    result: Result,
+    now: int,
+    scale: str = "none",
+    problems: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> Report:
     """Judge a window that the worker answered.
 
@@ -127,6 +141,7 @@ def judge_result(
         now: ROS time of publishing, ns.
         scale: where that of the published twist comes from, as `scale.source` names it.
         problems: what kept the twist from being published as it was asked for.
+        notes: what else there is to say.
     """
     estimate = result.estimate
     quality = estimate.quality
@@ -146,7 +161,10 @@ def judge_result(
     }
     common = _window_values(result.stamp, now, str(estimate.status), quality.events)
     level = max(_LEVELS[estimate.by_events], Level.WARN if problems else Level.OK)
-    return Report(level, "; ".join([_estimate_message(result), *problems]), common | values)
+    if quality.stop_reason == Status.DIVERGED:
+        level = Level.ERROR
+    words = [_estimate_message(result), *problems, *filter(None, notes)]
+    return Report(level, "; ".join(words), common | values)
 
 
 def judge_dropped(task: Task, reason: str, now: int) -> Report:
@@ -160,14 +178,16 @@ def judge_failed(task: Task, reason: str, now: int) -> Report:
 
 
 def _estimate_message(result: Result) -> str:
+    """Say where the motion comes from, what is missing, and in one word why it is wide."""
     estimate = result.estimate
     words = [str(estimate.status)]
-    if estimate.status is Status.OK and not estimate.translation_observable:
+    moves = estimate.told and estimate.status is not Status.STILL
+    if moves and not estimate.translation_observable:
         words.append("translation not observable")
     if estimate.by_events is not estimate.status:
         words.append(f"by the gyro alone: {estimate.by_events}")
-    elif estimate.status is Status.OK and not result.has_flow:
-        words.append("flow withheld")
+    elif why := why_wide(estimate):
+        words.append(f"wide: {why}")
     return ", ".join(words)
 
 

@@ -5,7 +5,7 @@
 
 import argparse
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from emoflow_ros.cli import run
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config, without_removed
 from emoflow_ros.core.options import OptionInfo, coerced, unknown_option
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import NodeOptions, Settings, table
@@ -96,18 +96,20 @@ class NodeParameters:
         self._is_configured = is_configured
         self._on_change = on_change
         # What the node was started with; rclpy would ignore names that are never declared.
-        given = {
-            name: parameter.value
-            for name, parameter in node._parameter_overrides.items()
-            if not name.startswith(_FOREIGN)
-        }
+        self._node = node
+        given = self._without_removed(
+            {
+                name: parameter.value
+                for name, parameter in node._parameter_overrides.items()
+                if not name.startswith(_FOREIGN)
+            }
+        )
         method = {"method": given["method"]} if "method" in given else {}
         config = load_config(str(given.get("profile", Config.profile)), method)
         self.settings = Settings(NodeOptions(), config).changed(given)
         for info in table(self.settings):
             node.declare_parameter(info.name, info.value, _descriptor(info), ignore_override=True)
         self._infos = {info.name: info for info in table(self.settings)}
-        self._node = node
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._take)
 
@@ -123,13 +125,19 @@ class NodeParameters:
             set_all: what rclpy does. It would refuse a read-only parameter that has its value
                 already, and one of another type than declared, and raise on an unknown name.
         """
-        parameters = [self._coerced(p) for p in parameters]
+        kept = self._without_removed({p.name: p for p in parameters})
+        parameters = [self._coerced(p) for p in parameters if p.name in kept]
         unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
         if unknown:
             refusal = unknown_option(unknown[0], sorted(self._infos))
             return SetParametersResult(successful=False, reason=str(refusal))
         wanted = [p for p in parameters if not (self._is_fixed(p.name) and self._has(p))]
         return set_all(wanted) if wanted else SetParametersResult(successful=True)
+
+    def _without_removed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Leave out parameters of earlier versions, each with a line in the log."""
+        log = self._node.get_logger()
+        return without_removed(values, lambda name, line: log.warning(f"{name}: {line}"))
 
     def _coerced(self, parameter: Parameter) -> Parameter:
         """Undo what `ros2 param` makes of a value, which it reads as YAML."""

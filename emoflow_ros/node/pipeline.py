@@ -7,10 +7,10 @@ from contextlib import ExitStack
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
 
+from emoflow_ros.config import require_torch
 from emoflow_ros.core.calibration import camera_from_info, load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.config import require_torch
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.answers import Answers
@@ -95,7 +95,7 @@ class Pipeline:
             nice=options.worker_nice,
         )
         made.callback(self._supervisor.stop)
-        if options.on_missing_device == "refuse" and settings.config.estimator.device != "cpu":
+        if options.on_missing_device == "refuse" and settings.config.device != "cpu":
             self._supervisor.check(settings.config)
         self._outputs = Outputs(node, options, self.statistics, made, present=bool(settings.slices))
         imu = settings.config.imu
@@ -257,7 +257,7 @@ class Pipeline:
         return supervisor.obstacle or self.statistics.load.reason(
             supervisor.busy_s,
             settings.node.output.timeout_s,
-            on_cpu=settings.config.estimator.device == "cpu",
+            on_cpu=settings.config.device == "cpu",
         )
 
     def _wait(self, task: Task) -> None:

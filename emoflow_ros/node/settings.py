@@ -1,6 +1,6 @@
 """All parameters as typed options with unit, range and meaning.
 
-The node's own options are here, those of the estimation in `core.config`; `Settings` holds both.
+The node's own options are here, those of the estimation in `config`; `Settings` holds both.
 """
 
 import math
@@ -12,8 +12,8 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.events import (
     NS_PER_S,
     SLICE_BIN_NS,
@@ -28,6 +28,7 @@ from emoflow_ros.core.options import (
     replace_options,
     unknown_option,
 )
+from emoflow_ros.core.output_bounds import OutputBounds
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.linear_covariance import REP_145, WIDE
@@ -134,6 +135,21 @@ class OutputOptions:
         "elsewhere (rep145)",
         choices=(WIDE, REP_145),
     )
+    max_angular_sd: float = option(
+        0.0,
+        "a twist whose angular velocity has a larger standard deviation is held back; 0: none",
+        unit="deg/s",
+        minimum=0.0,
+        maximum=1e5,
+    )
+    max_direction_sd: float = option(
+        0.0,
+        "a direction with a larger standard deviation is held back: linear is zero, as where it is "
+        "not observable; 0 holds none back",
+        unit="deg",
+        minimum=0.0,
+        maximum=180.0,
+    )
     target_frame: str = option(
         "", "frame that twists are expressed in; empty is the camera's optical frame"
     )
@@ -157,6 +173,11 @@ class OutputOptions:
     target_yaw: float = option(
         0.0, "then yaw about its z axis", unit="rad", minimum=-math.tau, maximum=math.tau
     )
+
+    @property
+    def bounds(self) -> OutputBounds:
+        """How wide a twist may be that is published."""
+        return OutputBounds(math.radians(self.max_angular_sd), math.radians(self.max_direction_sd))
 
 
 @dataclass(frozen=True)
@@ -205,8 +226,8 @@ class NodeOptions:
     autostart: bool = option(True, "configure and activate the node without being asked")
     on_missing_device: str = option(
         "cpu",
-        "where estimator.device is cuda and CUDA is missing or lost: estimate on the CPU, or "
-        "refuse to configure and, when lost, try again",
+        "profiles paper*, where estimator.device is cuda and CUDA is missing or lost: estimate on "
+        "the CPU, or refuse to configure and, when lost, try again",
         choices=("cpu", "refuse"),
     )
     worker_nice: int = option(

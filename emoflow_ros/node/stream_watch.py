@@ -15,7 +15,7 @@ REFUSALS = {
     "events_unordered": "events out of order: check the driver",
     "events_outside": "events outside the calibration's image: give this sensor's calibration",
 }
-DROPPED, FAILED = "dropped", "failed"
+DROPPED, FAILED, HELD_BACK = "dropped", "failed", "held_back"
 
 # Of windows that give no twist.
 _WITHOUT_TWIST = {
@@ -23,11 +23,12 @@ _WITHOUT_TWIST = {
     "too high for its windows",
     Status.NO_MOTION: "show no motion: the camera is at rest, or the image moves too little for "
     "windows of this length",
-    Status.UNCERTAIN: "are uncertain: their estimates are probably wrong and withheld; more motion "
-    "or texture in view helps, or a gyro",
     Status.DIVERGED: "diverged: check the calibration, or give longer windows",
+    Status.LOST: "are lost, half a second after the last measurement ({detail}): show the camera "
+    "more texture or motion",
     DROPPED: "were dropped: {detail}",
     FAILED: "failed: {detail}",
+    HELD_BACK: "are less sure than output.max_angular_sd: raise it, or 0 holds none back",
 }
 _NO_WINDOW = "no window is complete: window.count or window.duration_ms is too large for the events"
 _FLOWING_S = 1.0  # events further apart do not flow
@@ -76,7 +77,7 @@ class StreamWatch:
         self._causes.clear()
 
     def miss(self, cause: str, detail: str = "") -> None:
-        """Note a window that gives no twist: a Status, DROPPED or FAILED, and its reason."""
+        """Note a window that gives no twist: a Status or one of the words above, and its reason."""
         self._causes[cause] += 1
         self._details[cause] = detail
 

@@ -9,8 +9,8 @@ from dataclasses import asdict, replace
 from queue import SimpleQueue
 from typing import Any
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack_window, unpack
@@ -28,7 +28,7 @@ from emoflow_ros.node.tasks import (
 from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
 from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess, why_lost
 
-FACTORY = "emoflow_ros.core.factory:make_estimator"
+FACTORY = "emoflow_ros.factory:make_estimator"
 STARTING = "the worker is starting"
 
 _IDLE_S = 0.1
@@ -215,7 +215,8 @@ class Supervisor:
         self._tell(outcome)
 
     def _configure(self, camera: Camera, config: Config) -> None:
-        used = replace_options(config, {"estimator.device": "cpu"}) if self._on_cpu else config
+        lost = self._on_cpu and config.device != "cpu"
+        used = replace_options(config, {"estimator.device": "cpu"}) if lost else config
         answer, _ = self._request(
             {"kind": "configure", "camera": asdict(camera), "config": used.flat()},
             {},

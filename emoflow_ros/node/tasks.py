@@ -9,8 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, PresentTwist
 from emoflow_ros.core.events import NS_PER_S, Window
 

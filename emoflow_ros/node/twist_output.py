@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,20 @@ from emoflow_ros.node.tasks import Present, Result, Task
 _DEPTH = 10
 
 
+class HeldBack(StrEnum):
+    """What of a motion is wider than the output's bounds."""
+
+    NOTHING = ""
+    TWIST = "held back: wider than output.max_angular_sd"
+    DIRECTION = "direction held back: wider than output.max_direction_sd"
+
+
 class TwistOutput:
     """Publishes twists with stamps that increase, also where the clocks' offset is corrected.
 
     Args:
         node: to publish with.
-        options: in which frame, and how the covariance says that nothing is known.
+        options: in which frame, how wide, and how the covariance says that nothing is known.
         made: gets the calls that take the topics away.
         present: whether motions of now will come; else `egomotion/twist` carries the windows'.
 
@@ -47,36 +56,46 @@ class TwistOutput:
         self._frame = make_target_frame(node, options)
         made.callback(self._frame.close)
         self._form = options.linear_covariance
+        self._bounds = options.bounds
         self._last = (-1, 0)  # epoch and stamp
         self._twist = make_publisher(node, TwistStamped, "egomotion/twist", made)
         kind = TwistWithCovarianceStamped
         self._of_windows = make_publisher(node, kind, "egomotion/twist_with_covariance", made)
         self._of_now = make_publisher(node, kind, "egomotion/twist_now", made) if present else None
 
-    def publish(self, result: Result, speed: float | None) -> None:
+    def publish(self, result: Result, speed: float | None) -> HeldBack:
         """Publish a window's twist at this speed, m/s, or with a unit direction.
+
+        Returns:
+            What is held back.
 
         Raises:
             NoTransformError: the rotation into the frame is not known at the window's time.
         """
         rotation = self._frame.rotation(result.task.frame_id, result.stamp)
-        found = PresentTwist(at_middle(result.estimate), result.estimate.covariance)
+        whole = PresentTwist(at_middle(result.estimate), result.estimate.covariance)
+        found = self._bounds.apply(whole)
+        if found is None:
+            return HeldBack.TWIST
         message = self._to_message(result.task, result.stamp, found, speed, rotation)
         if self._of_now is None:
             self._publish_increasing(result.task, message)
         self._of_windows.publish(message)
+        return HeldBack.NOTHING if found is whole else HeldBack.DIRECTION
 
     def publish_present(self, present: Present, speed: float | None) -> bool:
         """Publish the motion of now, in the same way, if it is the newest.
 
         Returns:
-            Whether it is published.
+            Whether it is published: neither too late nor held back.
 
         Raises:
             NoTransformError: the rotation into the frame is not known.
         """
         assert self._of_now is not None
-        task, found = present.task, present.found
+        task, found = present.task, self._bounds.apply(present.found)
+        if found is None:
+            return False
         rotation = self._frame.rotation(task.frame_id, LATEST)  # tf comes later than events
         message = self._to_message(task, task.to_ros(found.twist.t), found, speed, rotation)
         is_newest = self._publish_increasing(task, message)

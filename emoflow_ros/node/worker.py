@@ -23,8 +23,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros import compiled_code
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
@@ -189,15 +189,13 @@ class _Worker:
             "processor_s": time.process_time() - began[1],
         }
         answer, values = pack(estimate)
-        if estimate.status is Status.OK and not all(
-            np.isfinite(value).all() for value in values.values()
-        ):
+        if estimate.told and not all(np.isfinite(value).all() for value in values.values()):
             self._estimator.reset()
             estimate = replace(estimate, status=Status.DIVERGED, flow=None, motion=None)
             answer, values = pack(estimate)
         self._last = estimate, window.gyro
         answer |= work
-        if estimate.status is not Status.OK:
+        if not estimate.told:
             return answer, values
         window = window.since(estimate.t_start)
         values |= self._painter.draw(Wishes(**header["wishes"]), estimate, window)

@@ -71,6 +71,7 @@ def window_row(window: WindowResult) -> dict[str, Any]:
         "axis_error_deg": window.axis_error_deg,
         "rate_ratio": window.rate_ratio,
         "direction_error_deg": window.direction_error_deg,
+        "relative_speed": window.relative_speed,
         "epe_px": flow and flow.epe_px,
         "static_epe_px": static and static.epe_px,
         "pe1_percent": flow and flow.pe1,

@@ -16,6 +16,7 @@ from emoflow_ros.evaluation.summary import Measure, summarise, summarise_by_trut
 from emoflow_ros.evaluation.trajectory_errors import (
     RELATIVE_SPAN_S,
     Trajectory,
+    local_path,
     longest,
     trajectories,
 )
@@ -56,6 +57,10 @@ DEFINITIONS = (
     f"observable. RPE is the RMS error of the motion between two windows, or over "
     f"{RELATIVE_SPAN_S:g} s; ATE the RMS distance of the longest run's positions after the "
     "rotation and translation that fit them best to the truth (no scaling).",
+    "Aligned by a similarity, the longest run takes nothing else from the truth: its speeds are "
+    "those that a memory of positions tells up to one factor, else one speed, and rotation, "
+    "translation and scale are fitted once for the whole run (Umeyama). Its drift is the error of "
+    f"the motion over {RELATIVE_SPAN_S:g} s over the true way in that time.",
     "The real-time factor is recorded time over the estimator's time; above 1 is faster than real "
     "time. The estimator's time is taken while the window before is compared with the truth, which "
     "makes it about a fifth longer on two cores.",
@@ -181,8 +186,7 @@ def _charts(run: Evaluation) -> list[tuple[str, str, str]]:
     windows = _thinned(run.windows, _MAX_CHART_WINDOWS)
     thinned = "" if windows == run.windows else "An even selection of the windows. "
     names = [source.name for source in (run.truth.twists, *run.truth.other_twists) if source]
-    path = _moving(longest(trajectories(run.windows, run.speed)))
-    scale = "the true speed" if run.speed is None else f"{run.speed:g} m/s as given"
+    path = _path(run)
     drawn = (
         (
             "Egomotion over time",
@@ -192,10 +196,7 @@ def _charts(run: Evaluation) -> list[tuple[str, str, str]]:
         (
             "Trajectory",
             figures.trajectory(path) if path else None,
-            f"The longest unbroken run, {path.length:.2f} m long, integrated with {scale} and "
-            "aligned by rotation and translation."
-            if path
-            else "",
+            _caption(path, run.speed) if path else "",
         ),
         ("Errors over time", figures.errors_over_time(windows), thinned),
         (
@@ -207,8 +208,24 @@ def _charts(run: Evaluation) -> list[tuple[str, str, str]]:
     return [(title, svg_uri(figure), caption) for title, figure, caption in drawn if figure]
 
 
-def _moving(path: Trajectory | None) -> Trajectory | None:
+def _path(run: Evaluation) -> Trajectory | None:
+    """Return the path that is drawn: nothing in it but a similarity is taken from the truth."""
+    if run.speed is None:
+        return local_path(run.windows)
+    path = longest(trajectories(run.windows, run.speed))
     return path if path is not None and path.has_translation else None
+
+
+def _caption(path: Trajectory, speed: float | None) -> str:
+    how = (
+        "up to scale, and aligned with the truth as a whole by rotation, translation and scale"
+        if speed is None
+        else f"at {speed:g} m/s as given, and aligned with the truth by rotation and translation"
+    )
+    return (
+        f"The longest unbroken run, {path.length:.2f} m long: the estimated velocities integrated "
+        f"{how}."
+    )
 
 
 def _thinned(windows: Sequence[WindowResult], most: int) -> list[WindowResult]:

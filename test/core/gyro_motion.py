@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from emoflow_ros.core.config import GyroConfig
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 
 MS = 1_000_000

@@ -5,17 +5,16 @@ from functools import cache
 
 import numpy as np
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, Window, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.present_motion import PresentMotion
-from emoflow_ros.simulation.recording import SimulatedRecording
-from emoflow_ros.simulation.simulate import simulate
+from emoflow_ros.factory import make_estimator
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 SLICE_NS = round(SLICE_MS * NS_PER_MS)
 LATE_NS = 60 * NS_PER_MS  # from a window's end until its estimate is there
-CONFIG = load_config(overrides={"estimator.max_doubt": 1.0})  # withholds no window
+CONFIG = load_config()
 
 
 @dataclass

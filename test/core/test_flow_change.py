@@ -5,14 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import WindowSlicer
-from emoflow_ros.core.factory import make_estimator
-from emoflow_ros.simulation.recording import SimulatedRecording
-from emoflow_ros.simulation.simulate import simulate
+from emoflow_ros.factory import make_estimator
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
-CONFIG = load_config(overrides={"estimator.max_doubt": 1.0})  # withholds no window
+CONFIG = load_config()
 
 
 @cache

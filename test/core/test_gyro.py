@@ -18,10 +18,11 @@ from gyro_motion import (
     windows,
 )
 
-from emoflow_ros.core.config import GyroConfig, load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.errors import InputError
 

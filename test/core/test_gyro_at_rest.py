@@ -5,11 +5,11 @@ import pytest
 from gyro_motion import CONFIG, MS, START, S, noisy, readings, turning, windows
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_checks import SteadyWatch
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from gyro_motion import CONFIG, MS, START, STRIDE, WINDOW, S, follow, noisy, readings, turning
 
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 
 FROM, TO = START + 1 * S, START + 2 * S

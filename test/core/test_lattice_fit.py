@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.belief import INFORMATION_EXCESS, Belief, Structure
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import GREVILLE
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.constraints import add_constraint, add_structure
 from emoflow_ros.core.egomotion import BY_POINTS, MOTION_UNKNOWNS, Motion, NodeEpipolar
 from emoflow_ros.core.events import NS_PER_MS, Events, Window

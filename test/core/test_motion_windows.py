@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_paths import CAMERA, MS, PER_PX, START, ExactEstimator, Path, policy
 
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
-from emoflow_ros.core.doubt import ReliableOnly
 from emoflow_ros.core.events import NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
 from emoflow_ros.core.preparation import CleanWindows
+from emoflow_ros.core.stream import ContinuousEstimator
+from emoflow_ros.factory import make_estimator
 
 
 def run(path: Path, policy: WindowPolicy, fails=lambda k: False, look=None) -> list[Window]:
@@ -231,12 +231,10 @@ def test_nine_tenths_of_the_image_keep_to_the_bound():
 
 
 def test_windows_are_taken_whole_unless_a_bound_is_set():
-    all_of_them = {"estimator.max_doubt": 1.0}
-    whole = load_config(overrides={"window.max_displacement_px": 0.0, **all_of_them})
-    assert layers(whole) == [BoundedWindows, CleanWindows, LatticeEstimator]
-    by_motion = [BoundedWindows, CleanWindows, MotionWindows, LatticeEstimator]
-    assert layers(load_config(overrides=all_of_them)) == by_motion
-    assert layers(load_config()) == [BoundedWindows, ReliableOnly, *by_motion[1:]]
+    whole = load_config(overrides={"window.max_displacement_px": 0.0})
+    assert layers(whole) == [BoundedWindows, CleanWindows, ContinuousEstimator, LatticeEstimator]
+    by_motion = [BoundedWindows, CleanWindows, ContinuousEstimator, MotionWindows, LatticeEstimator]
+    assert layers(load_config()) == by_motion
 
 
 def layers(config: Config) -> list[type]:

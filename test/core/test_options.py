@@ -2,7 +2,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from emoflow_ros.core.config import GyroConfig
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.options import option, options_of, replace_options
 from emoflow_ros.errors import InputError
 

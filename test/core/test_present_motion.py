@@ -96,7 +96,7 @@ def test_without_a_direction_of_travel_only_the_rotation_is_told() -> None:
     np.testing.assert_array_equal(found.covariance[:3, 3:], np.zeros((3, 3)))
 
 
-@pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
+@pytest.mark.parametrize("status", [s for s in Status if not s.told])
 def test_after_a_window_without_an_estimate_there_is_no_motion_of_now(status: Status) -> None:
     its, estimate = last("calm")
     present = its.present()
@@ -114,13 +114,21 @@ def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
     assert [found is not None for found in after_ms] == [False, True, False]
 
 
-def test_few_events_tell_nothing_of_now() -> None:
+def test_where_few_events_come_the_motion_goes_on_as_a_random_walk() -> None:
     its, estimate = last("calm")
     present = its.present()
-    present.know(estimate)
+    present.know(replace(estimate, bound=None))
     window = its.slice(estimate.t_end + LATE_NS)
-    assert present.estimate(replace(window, events=spread(window.events, 3_000))) is not None
-    assert present.estimate(replace(window, events=spread(window.events, 250))) is None
+    more, few = (replace(window, events=spread(window.events, n)) for n in (3_000, 250))
+    fitted, carried = present.estimate(more), present.estimate(few)
+    scene = present._scene
+    assert fitted is not None and carried is not None and scene is not None
+    expected = scene.motion[:3] + scene.predicted_change(window.t_end)
+    np.testing.assert_allclose(carried.twist.angular, expected)
+    drift = np.radians(60.0) ** 2 * (window.t_end - scene.t) / NS_PER_S
+    grown = np.diag(carried.covariance - estimate.covariance)[3:]
+    np.testing.assert_allclose(grown, drift, rtol=1e-9)
+    assert np.trace(fitted.covariance[3:, 3:]) < np.trace(carried.covariance[3:, 3:])
 
 
 def test_a_window_of_few_milliseconds_tells_of_its_middle_and_little_of_the_time_after_it() -> None:

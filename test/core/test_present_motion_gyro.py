@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from present_runs import LATE_NS, Run, degrees, last, run
 
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, fit_shape
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -62,7 +60,7 @@ def test_a_gyro_tells_the_change_since_the_window_whatever_its_bias() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2.0 < np.sqrt(np.mean(np.square(held)))
 
 
-def test_after_a_doubtful_flow_the_gyro_alone_carries_the_motion_on() -> None:
+def test_after_a_window_without_a_flow_the_gyro_alone_carries_the_motion_on() -> None:
     its, estimate = last("agile")
     assert estimate.translation_observable
     motion = Exactly(its, estimate)
@@ -79,14 +77,18 @@ def test_after_a_doubtful_flow_the_gyro_alone_carries_the_motion_on() -> None:
     np.testing.assert_allclose(found.twist.linear, motion.linear(before_end), atol=1e-9)
     of_v = np.trace(found.covariance[:3, :3])
     assert of_v > np.trace(estimate.covariance[:3, :3])
-    assert present.estimate(its.slice(t)) is None
+    walk = present.estimate(its.slice(t))
     late = with_gyro(its.slice(t), its, bias)
     assert late.gyro is not None
     before = late.gyro.t < t - 25 * NS_PER_MS
     stale = GyroReadings(late.gyro.t[before], late.gyro.w[before])
-    assert present.estimate(replace(late, gyro=stale)) is None
     frozen = GyroReadings(late.gyro.t, np.ones_like(late.gyro.w))
-    assert present.estimate(replace(late, gyro=frozen)) is None
+    assert walk is not None
+    for useless in (stale, frozen):
+        alone = present.estimate(replace(late, gyro=useless))
+        assert alone is not None
+        np.testing.assert_array_equal(alone.twist.angular, walk.twist.angular)
+    assert np.trace(walk.covariance[3:, 3:]) > 10 * np.trace(found.covariance[3:, 3:])
 
 
 def test_after_a_window_by_the_gyro_alone_the_gyro_tells_w_and_nothing_tells_v() -> None:
@@ -111,22 +113,6 @@ def test_after_a_window_by_the_gyro_alone_the_gyro_tells_w_and_nothing_tells_v()
     assert degrees(its.angular(estimate.t) - its.angular(t)) > 5
     np.testing.assert_array_equal(found.twist.linear, 0)
     assert found.covariance[0, 0] == -1
-
-
-def test_with_a_gyro_a_doubtful_window_still_tells_w() -> None:
-    its = run("calm")
-    options = {"imu.use": "auto", "imu.bias_deg_s": 2.0, "estimator.max_doubt": 1e-6}
-    config = load_config(overrides=options)
-    estimator = make_estimator(its.recording.camera, config)
-    windows = WindowSlicer(config.window).push(its.recording.events)
-    for k, window in enumerate(windows[:3]):
-        found = estimator.estimate(with_gyro(window, its, np.zeros(3)))
-        assert (found.status, found.flow) == (Status.OK, None)
-        assert not found.translation_observable
-        assert degrees(found.angular - its.angular(found.t)) < (0.2 if k == 0 else 1.5)
-        if k == 0:  # all that is known of the bias is how large it may be
-            sigma = np.degrees(np.sqrt(np.diag(found.covariance)[3:]))
-            np.testing.assert_allclose(sigma, 2.0, atol=0.1)
 
 
 def after_a_window_with_a_gyro(scene: str) -> tuple[PresentMotion, Window, GyroReadings]:

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from emoflow_ros.core import derivatives, kernels
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.contrast import STIFFNESS_STRIDE, TAPS, Contrast
 from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.smoothing import outwards, smooth
 from emoflow_ros.core.window_events import PARTS, WindowEvents

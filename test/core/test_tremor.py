@@ -7,11 +7,11 @@ import pytest
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.contrast import Contrast
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
@@ -20,7 +20,7 @@ from emoflow_ros.core.lattice_kernels import bilinear
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.tremor import Tremor
 from emoflow_ros.core.window_events import WindowEvents
-from emoflow_ros.simulation.simulate import simulate
+from emoflow_ros.simulation.recording import simulate
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
 LATTICE = Lattice.with_spacing(346, 260, 26.0)

@@ -22,7 +22,7 @@ NEVER = 1e9  # more cost than any flow has
 def covariance_of(
     possible, distance_px=1.0, *, w=None, known=None, sized=True, parallax_px=5.0
 ) -> np.ndarray:
-    apart = Disagreement(distance_px, 5.0, 1.0, w)
+    apart = Disagreement(distance_px, 1.0, w)
     return possible.covariance(apart, W, parallax_px, FOCAL_PX, known, sized=sized)
 
 
@@ -66,19 +66,28 @@ def test_a_camera_that_only_turns_weighs_as_much_as_all_directions():
     np.testing.assert_allclose(possible.mean[:3], -7 / 8 * W)
 
 
-@pytest.mark.parametrize(("misfit", "expected"), [
-    (1.0, 1.0), (0.25, 0.5), (4.0, 2.0), (0.001, np.sqrt(0.2)), (1000.0, np.sqrt(5.0)),
-])  # fmt: skip
-def test_the_temperature_is_the_root_of_what_is_left_over_what_is_usual(misfit, expected):
-    """Of 100 nodes whose flow is known as well as it can be, 0.13 of a node's cost each.
-
-    Nodes where the lens has no inverse do not count.
-    """
+def heat_of(misfit: float, usable: int = 100) -> float:
+    """Temperature of 150 nodes, the first of them usable, with a cost of so much per node."""
     information = trusted(np.tile(1e9 * np.eye(2), (150, 1, 1)))
-    usable = np.arange(150) < 100
-    least, more = (explain(V, W, 0.0, factor * misfit * 0.13 * 100) for factor in (1, 3))
-    assert temperature(least, more, usable, information) == pytest.approx(expected)
-    assert temperature(more, least, usable, information) == pytest.approx(expected)
+    least, more = (explain(V, W, 0.0, factor * misfit * usable) for factor in (1, 3))
+    found, swapped = (
+        temperature(*pair, np.arange(150) < usable, information)
+        for pair in ((least, more), (more, least))
+    )
+    assert found == swapped
+    return found
+
+
+def test_the_temperature_is_the_root_of_what_is_left_within_bounds():
+    usual = np.sqrt([heat_of(misfit) / heat_of(misfit / 4) for misfit in (0.13, 0.26, 0.4)])
+    np.testing.assert_allclose(usual, np.sqrt(2))
+    assert 0 < heat_of(1e-4) == heat_of(1e-5) < heat_of(0.1)
+    assert heat_of(1e3) == heat_of(1e4) > heat_of(0.4)
+
+
+def test_the_temperature_is_one_of_a_node_and_not_of_their_number():
+    """Nodes where the lens has no inverse do not count."""
+    assert heat_of(0.2, usable=50) == pytest.approx(heat_of(0.2, usable=100))
 
 
 def test_costs_count_less_at_a_higher_temperature():
@@ -91,40 +100,54 @@ def test_a_cost_far_below_the_present_one_is_no_overflow():
     np.testing.assert_allclose(possible.mean[:3], -W)
 
 
+def sigmas(*arguments, **options) -> tuple[float, float]:
+    """Standard deviations of w and of v, which are alike in all directions."""
+    covariance = covariance_of(PossibleMotions(), *arguments, **options)
+    of_w, of_v = covariance[0, 0], covariance[3, 3]
+    np.testing.assert_allclose(covariance, np.diag(np.repeat([of_w, of_v], 3)))
+    return float(np.sqrt(of_w)), float(np.sqrt(of_v))
+
+
 def test_without_other_motions_the_distance_of_the_second_fit_is_the_error():
-    """35 % of it for w; for v 15 %, the more the shorter the parallax, and 0.02 rad in any case."""
-    covariance = covariance_of(PossibleMotions(), 2.0)
-    expected = np.repeat([(0.7 / FOCAL_PX) ** 2, (0.3 / 5.0) ** 2 + 0.02**2], 3)
-    np.testing.assert_allclose(covariance, np.diag(expected))
+    """That of v is the larger the shorter the parallax, and the rest of it no flow takes away."""
+    (near_w, near_v), (far_w, far_v) = sigmas(1.0), sigmas(2.0)
+    assert far_w == pytest.approx(2 * near_w)
+    assert 0 < near_w < 1.0 / FOCAL_PX
+    _, least = sigmas(1.0, parallax_px=1e6)
+    assert far_v**2 - least**2 == pytest.approx(4 * (near_v**2 - least**2))
+    assert sigmas(2.0, parallax_px=10.0) == pytest.approx((far_w, near_v))
+    assert 0 < least < np.radians(2.0)
+    assert sigmas(2.0, parallax_px=1e6)[1] == pytest.approx(least)
 
 
-def test_no_parallax_is_so_long_that_v_is_exact():
-    covariance = covariance_of(PossibleMotions(), parallax_px=1e6)
-    np.testing.assert_allclose(covariance[3:, 3:], 0.02**2 * np.eye(3))
+def test_the_distance_is_bounded_on_both_sides():
+    assert 0 < sigmas(0.0)[0] == sigmas(0.01)[0] < sigmas(1.0)[0]
+    assert sigmas(50.0)[0] == sigmas(500.0)[0] > sigmas(1.0)[0]
 
 
-@pytest.mark.parametrize(("distance_px", "counts_as"), [(0.0, 0.3), (1.0, 1.0), (50.0, 4.0)])
-def test_the_distance_is_bounded_on_both_sides(distance_px, counts_as):
-    covariance = covariance_of(PossibleMotions(), distance_px)
-    assert np.sqrt(covariance[0, 0]) == pytest.approx(0.35 * counts_as / FOCAL_PX)
-
-
-@pytest.mark.parametrize(("sized", "of_v"), [(True, 0.85), (False, 1.5)])
-def test_the_spread_adds_to_the_error(sized, of_v):
+def test_the_spread_adds_to_the_error():
     """That of v is wider where neither sizes nor a temperature took part in the costs."""
     possible = weigh(np.add(W, [0.0, 0.04, 0.0]), turned(0.4), 0.0)
-    added = covariance_of(possible, sized=sized) - covariance_of(PossibleMotions(), sized=sized)
-    np.testing.assert_allclose(added[:3, :3], possible.spread[:3, :3], atol=1e-15)
-    np.testing.assert_allclose(added[3:, 3:], of_v * possible.spread[3:, 3:], atol=1e-15)
-    np.testing.assert_allclose(added[:3, 3:], of_v**0.5 * possible.spread[:3, 3:], atol=1e-15)
+    counts = []
+    for sized in (True, False):
+        added = covariance_of(possible, sized=sized) - covariance_of(PossibleMotions(), sized=sized)
+        share = np.trace(added[3:, 3:]) / np.trace(possible.spread[3:, 3:])
+        np.testing.assert_allclose(added[:3, :3], possible.spread[:3, :3], atol=1e-15)
+        np.testing.assert_allclose(added[3:, 3:], share * possible.spread[3:, 3:], atol=1e-15)
+        np.testing.assert_allclose(added[:3, 3:], share**0.5 * possible.spread[:3, 3:], atol=1e-15)
+        counts.append(share)
+    assert 0 < counts[0] < counts[1]
 
 
-def test_with_an_earlier_scene_a_twentieth_of_its_squared_difference_is_the_variance():
-    """And 15 % of the distance of the second fit in place of 35 % of it."""
-    found = covariance_of(PossibleMotions(), 2.0, w=W + np.array([0.03, 0.0, -0.04]))
-    of_w = (0.3 / FOCAL_PX) ** 2 + 0.05 * 0.0025 / 3
-    of_v = (0.3 / 5.0) ** 2 + 0.02**2
-    np.testing.assert_allclose(found, np.diag([of_w] * 3 + [of_v] * 3))
+def test_with_an_earlier_scene_its_difference_adds_and_the_second_fit_counts_less():
+    apart = np.array([0.03, 0.0, -0.04])
+    (agreeing, of_v), *differing = (sigmas(2.0, w=W + k * apart) for k in (0, 1, 2))
+    alone = sigmas(2.0)
+    assert 0 < agreeing < alone[0]
+    assert of_v == alone[1] == differing[0][1]
+    added = [found[0] ** 2 - agreeing**2 for found in differing]
+    assert 0 < added[0] < np.linalg.norm(apart) ** 2
+    assert added[1] == pytest.approx(4 * added[0])
 
 
 def test_what_is_known_of_w_lessens_its_covariance_and_that_of_v_with_it():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.egomotion import Motion
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
 from emoflow_ros.core.memory import Memory

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, Events, Window
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import simulate
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)

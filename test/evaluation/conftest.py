@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.commands import evaluate as evaluate_command
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import ablation
@@ -13,9 +13,9 @@ from emoflow_ros.evaluation.ablation import (
     Ablation,
     ColdStarts,
     Row,
-    table_of,
     variants_of,
 )
+from emoflow_ros.report.ablation_table import table_of
 
 TINY = (
     "estimator.max_events=2000",
@@ -60,7 +60,7 @@ def test_unsupported_is_one_line_before_any_work(call, capsys, tmp_path, calm_ba
 def test_start_on_a_simulated_recording(call, capsys, tmp_path, calm_bag):
     out = tmp_path / "out"
     truth = ("--gt", calm_bag.truth, calm_bag.flow)
-    whole_run = ("--set", "estimator.max_doubt=1", "--ablate", "start", "--out", out)
+    whole_run = ("--ablate", "start", "--out", out)
     assert call(calm_bag.data, *truth, *whole_run) == 0
     warm, cold = rows_of(out)
     assert warm["name"].startswith("warm")
@@ -80,7 +80,7 @@ def test_start_on_a_simulated_recording(call, capsys, tmp_path, calm_bag):
 def test_parts_of_the_lattice_with_a_moving_object(call, tmp_path, mover_bag, name, option):
     out = tmp_path / "out"
     truth = ("--gt", mover_bag.truth, mover_bag.flow)
-    whole_run = ("--set", "estimator.max_doubt=1", "--ablate", name, "--out", out)
+    whole_run = ("--ablate", name, "--out", out)
     assert call(mover_bag.data, *truth, *whole_run) == 0
     whole, without = rows_of(out)
     assert list(without["overrides"]) == [f"estimator.{option}"]

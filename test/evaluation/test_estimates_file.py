@@ -37,7 +37,6 @@ def estimate(i, status=Status.OK, model=MotionModel.FULL):
             contrast_gain=1.5 if status is Status.OK else np.nan,
             residual_px=0.125 * i,
             inlier_fraction=0.75,
-            doubt=0.25,
             runtime_s=0.25,
             warm=i > 0,
         ),
@@ -105,7 +104,6 @@ def test_whole_record_of_quality_is_kept(tmp_path):
         "stop_reason": ["converged", "too_few_events", "converged"],
         "residual_px": [0.0, 0.125, 0.25],
         "inlier_fraction": [0.75] * 3,
-        "doubt": [0.25] * 3,
         "warm": [False, True, True],
         "runtime_s": [0.25] * 3,
     }

@@ -2,7 +2,7 @@
 
 import pytest
 
-from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.commands import evaluate as evaluate_command
 from emoflow_ros.evaluation.recording_options import overrides
 
 

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from emoflow_ros.core.config import load_config
-from emoflow_ros.evaluation import evaluate_command
+from emoflow_ros.commands import evaluate as evaluate_command
+from emoflow_ros.commands import label as label_command
+from emoflow_ros.config import load_config
 from emoflow_ros.evaluation.recording_options import overrides
-from emoflow_ros.labels import label_command
 
 MOST = "window.max_displacement_px"
 
@@ -48,7 +48,7 @@ def test_axis_of_the_rotation_in_ecd(call, tmp_path, shared_data, name, window_m
     folder = shared_data / "ecd" / name
     if not folder.is_dir():
         pytest.skip(f"no recording {folder}")
-    options = ("--window-ms", window_ms, "--set", "estimator.max_doubt=1", "--out", tmp_path)
+    options = ("--window-ms", window_ms, "--out", tmp_path)
     assert call(folder, *options) == 0
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["configuration"][MOST] == 0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.gyro_checks import axis_names
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.evaluation.gyro_check import (
     GyroMeans,

@@ -17,10 +17,10 @@ from synthetic import (
     write_odom_npz,
 )
 
+from emoflow_ros.commands.evaluate import main
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
 from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES, BenchmarkSequence
-from emoflow_ros.evaluation.evaluate_command import main
 from emoflow_ros.evaluation.protocols import make_plan
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.summary import summarise, summarise_by_truth
@@ -246,8 +246,7 @@ def test_mvsec_files_to_report(monkeypatch, tmp_path, mvsec):
     data, truth = mvsec["hdf5"]
     arguments = [data, "--sequence", "outdoor_day1", "--protocol", "mvsec-dt4"]
     arguments += ["--policy", "paper", "--gt", truth, mvsec["npz"], mvsec["odom_path"]]
-    # The first window is at the bound from which it is withheld: rounding decides.
-    arguments += ["--out", tmp_path, "--set", "estimator.max_doubt=1"]
+    arguments += ["--out", tmp_path]
     monkeypatch.setattr("sys.argv", ["evaluate", *map(str, arguments)])
     assert main() == 0
     report = json.loads((tmp_path / "report.json").read_text())

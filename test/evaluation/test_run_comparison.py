@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from emoflow_ros.commands.compare import main
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation.run_comparison import Run, compare, load_run, main
+from emoflow_ros.evaluation.run_comparison import Run, compare, load_run
 
 
 def report(epe, start=10.0, **configuration):

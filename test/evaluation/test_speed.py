@@ -5,11 +5,11 @@ import time
 import pytest
 
 from benchmarks.offline import figures, row, table
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.events import WindowSlicer
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.window_run import evaluate
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.recording import davis346, simulate
 from emoflow_ros.simulation.recording_files import OutputPaths, write_recording
@@ -32,7 +32,7 @@ def recording(tmp_path_factory) -> OutputPaths:
 
 def test_evaluation_keeps_up_with_the_recording(recording, tmp_path):
     """Reading, estimating, comparing with poses and flow, and writing, in processor time."""
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})
+    config = load_config("realtime")
     with open_recording(recording.data, calibration=recording.calibration) as opened:
         truth = load_truth(opened, [recording.truth, recording.flow])
         estimator = make_estimator(opened.camera, config)

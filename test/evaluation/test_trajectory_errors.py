@@ -150,11 +150,77 @@ def test_given_speed_is_no_oracle_and_counts_as_given():
     assert measures["rpe_m"] == pytest.approx(2.0)
 
 
+def straight(positions, linear=(0, 0, 1)):
+    """Windows every 100 ms of a camera that drives along z, through these positions (m)."""
+    return [
+        replace(
+            window(k, 100 * k, linear),
+            angular=np.zeros(3),
+            truth=None,
+            pose=pose([0.1, 0.2, 0.3], [3, 2, 1]) @ pose([0, 0, 0], [0, 0, z]),
+        )
+        for k, z in enumerate(positions)
+    ]
+
+
+def local_figures(windows):
+    keys = ("sim3_ate_m", "way_m", "drift_percent", "drift_deg_m")
+    return {m.key: m.value for m in summarise(windows) if m.key in keys}
+
+
+def test_up_to_scale_a_circle_at_one_speed_has_no_errors():
+    found = local_figures([window(k, 100 * k) for k in range(30)])
+    assert found.pop("way_m") == pytest.approx(2.0 * 2.9, rel=1e-3)
+    assert found == pytest.approx({"sim3_ate_m": 0, "drift_percent": 0, "drift_deg_m": 0}, abs=1e-5)
+
+
+def test_up_to_scale_nothing_is_taken_from_the_true_speed():
+    """Of a camera that speeds up stays what the best straight line through time leaves."""
+    steps = np.arange(30)
+    positions = 0.2 * steps + 0.01 * steps**2
+    line = np.polyval(np.polyfit(steps, positions, 1), steps)
+    left = np.sqrt(((line - positions) ** 2).mean())
+    assert local_figures(straight(positions))["sim3_ate_m"] == pytest.approx(left)
+    assert left > 0.5
+
+
+def test_up_to_scale_relative_speeds_count_up_to_one_factor():
+    """Unknown ones lie between their neighbours."""
+    steps = np.arange(30)
+    windows = straight(0.2 * steps + 0.01 * steps**2)
+    speeds = 7.0 * (0.2 + 0.02 * steps)
+    speeds[[0, 11, 12]] = np.nan, np.nan, np.nan
+    known = [replace(w, relative_speed=v) for w, v in zip(windows, speeds, strict=True)]
+    found = local_figures(known)
+    assert found["sim3_ate_m"] == pytest.approx(0, abs=2e-3)
+    assert found["drift_percent"] == pytest.approx(0, abs=0.2)
+    assert local_figures(windows)["sim3_ate_m"] > 0.5
+
+
+def test_drift_of_a_direction_that_is_ten_degrees_off():
+    """One alignment takes it out of the positions, and none out of the way of a second."""
+    off = np.radians(10)
+    found = local_figures(straight(0.2 * np.arange(30), (np.sin(off), 0, np.cos(off))))
+    assert found["sim3_ate_m"] == pytest.approx(0, abs=1e-9)
+    assert found["drift_percent"] == pytest.approx(100 * 2 * np.sin(off / 2))
+
+
+def test_drift_of_rotation_per_metre():
+    """A turn of 3 deg/s that is not there, at 2 m/s."""
+    turning = [replace(w, angular=np.radians([0, 0, 3.0])) for w in straight(0.2 * np.arange(30))]
+    assert local_figures(turning)["drift_deg_m"] == pytest.approx(1.5)
+
+
+def test_few_poses_say_nothing_up_to_scale():
+    assert "sim3_ate_m" in local_figures([window(k, 100 * k) for k in range(4)])
+    assert local_figures([window(k, 100 * k) for k in range(3)]) == {}
+
+
 def test_rotation_only_has_no_length():
     still = [replace(window(k, 100 * k), linear=np.full(3, np.nan)) for k in range(30)]
     keys = {m.key for m in summarise(still)}
     assert "rpe_deg" in keys
-    assert not keys & {"oracle_ate_m", "oracle_rpe_m"}
+    assert not keys & {"oracle_ate_m", "oracle_rpe_m", "sim3_ate_m", "drift_percent"}
 
 
 def test_runs_break_at_gaps_and_lost_windows():

@@ -223,7 +223,7 @@ def test_every_result_holds_the_same_record_of_quality(folder, tmp_path):
     class Thinning(KnownErrors):
         def estimate(self, window):
             whole = super().estimate(window)
-            quality = Quality(400, 9, "deadline", 1.5, 0.25, 0.75, 0.05, True, doubt=0.5)
+            quality = Quality(400, 9, "deadline", 1.5, 0.25, 0.75, 0.05, True)
             start = window.t_start + 40_000_000
             return replace(whole, t_start=start, quality=quality, linear=np.array([0, 0, 1.0]))
 
@@ -241,7 +241,6 @@ def test_every_result_holds_the_same_record_of_quality(folder, tmp_path):
         "contrast_gain": 1.5,
         "residual_px": 0.25,
         "inlier_fraction": 0.75,
-        "doubt": 0.5,
         "warm": True,
         "runtime_s": 0.05,
     }
@@ -254,7 +253,6 @@ def test_every_result_holds_the_same_record_of_quality(folder, tmp_path):
         "contrast_gain": None,
         "residual_px": None,
         "inlier_fraction": None,
-        "doubt": None,
         "warm": False,
         "runtime_s": 0.0,
     }

@@ -46,8 +46,8 @@ def recorder(recorder_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
 @pytest.fixture(scope="module")
 def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
     with Processes(tmp_path_factory.mktemp("real")) as made:
-        # The machine may be busy; and no window is withheld.
-        yield SharedNode(made, FACTORY, "input.queue_windows:=50", "estimator.max_doubt:=1.0")
+        # The machine may be busy.
+        yield SharedNode(made, FACTORY, "input.queue_windows:=50")
 
 
 @pytest.fixture

@@ -21,8 +21,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 from shared_node import SharedNode
 from std_msgs.msg import Header
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import Events, WindowSlicer
 from emoflow_ros.simulation.messages import MessageEncoder
@@ -111,9 +111,9 @@ def batches(recording: SimulatedRecording) -> list[Events]:
 @pytest.fixture(scope="module")
 def expected(recording: SimulatedRecording) -> list[Estimate]:
     """The estimates of the same windows without ROS."""
-    from emoflow_ros.core.factory import make_estimator
+    from emoflow_ros.factory import make_estimator
 
-    config = load_config("realtime", {"estimator.max_doubt": 1.0})
+    config = load_config("realtime")
     estimator = make_estimator(CAMERA, config)
     return [estimator.estimate(w) for w in WindowSlicer(config.window).push(recording.events)]
 

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.dds
 
 ACTIVATE = Transition(id=Transition.TRANSITION_ACTIVATE)
 DEACTIVATE = Transition(id=Transition.TRANSITION_DEACTIVATE)
+ON_CUDA = ("-p", "profile:=paper", "-p", "estimator.device:=cuda")
 SMALL = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
 SUBSCRIBER = """
 import rclpy
@@ -156,7 +157,7 @@ def test_calibration_of_another_size_is_said_while_messages_come(
     peer.spin_until(lambda: peer.status()["wrong_size_messages"] != "0", "the count")
     before = len(peer.diagnostics)
     run_windows(peer, 1105, 1501, pause_s=0.01)
-    peer.spin_until(lambda: "nothing to use for" in peer.status()["message"], "the reason", 2.0)
+    peer.spin_until(lambda: "nothing to use for" in peer.status()["message"], "the reason")
     reason = "messages of another sensor size: give this sensor's calibration"
     assert reason in peer.status()["message"]
     assert peer.diagnostics[-1].status[0].level == b"\x02"
@@ -197,8 +198,7 @@ def test_malformed_messages_at_100_hz_cost_no_good_one(peer: Peer, recorder: Sha
 
 
 def test_missing_device_ends_the_start_where_the_cpu_is_refused(processes: Processes) -> None:
-    wishes = ("-p", "estimator.device:=cuda", "-p", "on_missing_device:=refuse")
-    node = processes.start_fake("NoCuda", *wishes)
+    node = processes.start_fake("NoCuda", *ON_CUDA, "-p", "on_missing_device:=refuse")
     assert node.wait(WAIT_S) == 2
     [line] = [x for x in processes.output(node).splitlines() if x.startswith("error: ")]
     assert "estimator.device: no CUDA device was found" in line
@@ -207,7 +207,7 @@ def test_missing_device_ends_the_start_where_the_cpu_is_refused(processes: Proce
 def test_missing_device_is_named_while_the_cpu_does_its_work(
     peer: Peer, processes: Processes
 ) -> None:
-    processes.start_fake("NoCuda", "-p", "estimator.device:=cuda")
+    processes.start_fake("NoCuda", *ON_CUDA)
     peer.connect()
     peer.publish_camera()
     run_windows(peer, 1000, 1011)

@@ -200,7 +200,7 @@ def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Start) -> No
         return bool(statuses) and values(statuses[-1])["scale"] == "topic"
 
     peer.spin_until(publish_until_scaled, "a window with a scale")
-    assert statuses[-1].message == "ok"
+    assert statuses[-1].message == "ok, wide: start"
     last = values(statuses[-1])["stamp"]
 
     def same_window() -> list[TwistStamped]:
@@ -214,7 +214,7 @@ def test_speed_from_odometry_until_it_is_too_old(peer: Peer, start: Start) -> No
     peer.spin_until(lambda: values(statuses[-1])["stamp"] == late, "a window 19 s later")
     assert statuses[-1].level == b"\x01"
     assert statuses[-1].message == (
-        "ok; no speed on odom within 10 s of the window; linear is a unit direction"
+        "ok, wide: start; no speed on odom within 10 s of the window; linear is a unit direction"
     )
     peer.spin_until(lambda: stamp(peer.twists[-1]) == 20_005 * MS, "its twist")
     assert peer.twists[-1].twist.linear.z == 0.8

@@ -26,14 +26,15 @@ from emoflow_ros.simulation.simulated_truth import ImuModel, simulate_imu
 pytestmark = pytest.mark.dds
 
 REPLAY = (sys.executable, "-m", "emoflow_ros.commands.replay")
-EVALUATE = "import sys; from emoflow_ros.evaluation.evaluate_command import main; sys.exit(main())"
+EVALUATE = "import sys; from emoflow_ros.commands.evaluate import main; sys.exit(main())"
 RATE = "0.5"
 TOLERANCE = 1e-6  # rad/s and of a unit vector: the node's twists are the offline ones
 # A window waits 8 ms for the readings at its end, and the IMU is best effort: on a busy machine
-# windows go without some readings, and later ones start from a slightly different estimate.
+# windows go without some readings, and later ones start from a slightly different estimate. The
+# slower the replay, the less of the recording such a pause covers.
 USED = 0.5
 GYRO_TOLERANCE = 5e-3  # rad/s and of a unit vector: a quarter of the gyro's bias
-ATTEMPTS = 3
+RATES = (RATE, "0.25", "0.1", "0.05", "0.02")
 START = 1_500_000_000_000_000_000
 
 
@@ -70,8 +71,7 @@ def expected(bag: Path) -> list[Window]:
 def evaluate(bag: Path, *options: str) -> list[Window]:
     """Send the bag through the executable `evaluate`."""
     out = bag.parent / "-".join(["offline", *(o.strip("-/").replace("/", "-") for o in options)])
-    all_of_them = ("--set", "estimator.max_doubt=1")
-    command = (sys.executable, "-c", EVALUATE, str(bag), "--out", str(out), *all_of_them, *options)
+    command = (sys.executable, "-c", EVALUATE, str(bag), "--out", str(out), *options)
     subprocess.run(command, check=True)
     columns = read_estimates(out / "estimates.h5").columns
     middles = (columns["t_start_ns"] + columns["t_end_ns"]) // 2
@@ -100,7 +100,7 @@ def start(
     peer.node.destroy_publisher(peer.events)
     node.start(peer, values)
     peer.hear()
-    processes.start(*REPLAY, str(bag), "--wait", "60", "--rate", rate)
+    processes.start(*REPLAY, str(bag), "--wait", "600", "--rate", rate)
 
 
 def test_twists_of_now_come_beside_those_of_windows(
@@ -126,14 +126,13 @@ def test_twists_of_now_come_beside_those_of_windows(
     peer.spin_until(
         lambda: peer.covariances and to_ns(peer.covariances[-1].header.stamp) == expected[-1].t,
         "the last window",
-        60.0,
     )
     # Slices do not change the windows.
     for message, window in zip(peer.covariances, expected, strict=True):
         w = message.twist.twist.angular
         np.testing.assert_allclose([w.x, w.y, w.z], window.angular, atol=TOLERANCE)
     # A twist goes out on two topics, one after the other.
-    peer.spin_until(lambda: len(stamps(peer)) == len(now), "the same twists on both", 10.0)
+    peer.spin_until(lambda: len(stamps(peer)) == len(now), "the same twists on both")
     times = np.array([to_ns(message.header.stamp) for message in now])
     assert stamps(peer) == times.tolist()
     assert len(times) >= 10
@@ -168,7 +167,6 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
             and image_stamp(peer) == expected[-1].t
         ),
         "twist and flow of the last window",
-        60.0,
     )  # fmt: skip
     peer.spin_until(
         lambda: peer.status().get("windows_ok") == str(len(expected)), "the count of all windows"
@@ -208,9 +206,9 @@ def test_killed_worker_costs_one_window_of_a_running_replay(
     peer: Peer, node: SharedNode, processes: Processes, bag: Path, expected: list[Window]
 ) -> None:
     start(peer, node, processes, bag)
-    peer.spin_until(lambda: len(peer.twists) >= 4, "some twists", 60.0)
+    peer.spin_until(lambda: len(peer.twists) >= 4, "some twists")
     os.kill(_worker(node), signal.SIGKILL)
-    peer.spin_until(lambda: stamps(peer)[-1] == expected[-1].t, "the last twist", 60.0)
+    peer.spin_until(lambda: stamps(peer)[-1] == expected[-1].t, "the last twist")
     # The one that it was working on is lost, if there was one.
     assert len(expected) - 1 <= len(peer.twists) <= len(expected)
     peer.spin_until(lambda: peer.status().get("worker_restarts") == "1", "the count")
@@ -225,11 +223,13 @@ def test_node_equals_offline_with_a_gyro(peer: Peer, node: SharedNode, bag: Path
     peer.node.destroy_publisher(peer.events)
     node.start(peer, {"imu.use": "auto"})
     peer.hear()
-    for _ in range(ATTEMPTS):
+    used, off = [False], np.inf
+    for rate in RATES:
         statuses.clear()
         peer.twists.clear()
-        subprocess.run((*REPLAY, str(bag), "--wait", "60", "--rate", RATE), check=True)
-        peer.spin_until(lambda: len(statuses) == len(expected), "the status of every window", 60.0)
+        subprocess.run((*REPLAY, str(bag), "--wait", "600", "--rate", rate), check=True)
+        if not peer.spin_while_alive(lambda: len(statuses) == len(expected), beats=100):
+            continue  # messages are lost
         said = [{value.key: value.value for value in status.values} for status in statuses]
         used = [values["status"] == "ok" and values["gyro"] == "used" for values in said]
         with_twist = [values["status"] == "ok" for values in said]

@@ -5,7 +5,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from harness import Peer, Processes
+from harness import WAIT_S, Peer, Processes
 from random_faults import PARAMETERS, Script
 from rclpy.qos import ReliabilityPolicy
 
@@ -33,7 +33,7 @@ def test_every_window_is_accounted_for_whatever_happens(
         assert memory[-1] < memory[len(memory) // 4] + 10
         shared = script.shared_memory()
         node.send_signal(signal.SIGINT)
-        assert node.wait(20) == 0
+        assert node.wait(WAIT_S) == 0
         assert [path for path in shared if Path(path).exists()] == []
         assert script.unexplained() == ["SIGINT: the node ends"]
     with capsys.disabled():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from emoflow_ros.labels import label_command
+from emoflow_ros.commands import label as label_command
 
 
 def call(monkeypatch, out, *arguments):

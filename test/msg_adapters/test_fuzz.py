@@ -16,7 +16,6 @@ SCRIPT = Path(__file__).parent / "fuzz_decoders.py"
 INPUTS = 400
 
 
-@pytest.mark.timeout(300)  # 10 s on an idle machine
 def test_every_target_survives_a_short_run():
     pytest.importorskip("atheris")
     command = [sys.executable, SCRIPT, "--runs", str(INPUTS), "--seed", "1"]

@@ -12,8 +12,8 @@ import numba
 import numpy as np
 import psutil
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
@@ -150,7 +150,7 @@ class NoCuda(Recorder):
     """A machine without the device."""
 
     def __init__(self, camera: Camera, config: Config) -> None:
-        if config.estimator.device == "cuda":
+        if config.device == "cuda":
             raise InputError("estimator.device", "no CUDA device was found", "use cpu")
         super().__init__(camera, config)
 
@@ -159,7 +159,7 @@ class LosesCuda(Poisoned):
     """A device that is there, until it fails as torch says it."""
 
     def misbehave(self) -> None:
-        if self.config.estimator.device == "cuda":
+        if self.config.device == "cuda":
             raise RuntimeError("CUDA error: unspecified launch failure\nlook at dmesg")
 
 

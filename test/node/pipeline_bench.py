@@ -11,8 +11,8 @@ from graph import DVS
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import Events
 from emoflow_ros.node.pipeline import Pipeline
 from emoflow_ros.node.settings import NodeOptions, Settings

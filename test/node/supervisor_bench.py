@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Progress, Result, Task, Wishes
 
 CAMERA = Camera(32, 24, 20.0, 20.0, 16.0, 12.0)
-WAIT_S = 60.0
+WAIT_S = 600.0  # only what hangs takes so long, also on a busy machine
 
 
 def next_outcome(supervisor: Supervisor) -> Outcome:

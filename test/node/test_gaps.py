@@ -14,8 +14,8 @@ sys.path.append(str(Path(__file__).parents[1] / "msg_adapters"))
 from encoders import evt3
 from messages import event_packet
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import Events, WindowPolicy
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.backlog import LeftOut

@@ -9,10 +9,10 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from fake_clock import Clock
 
-from emoflow_ros.core.config import GyroConfig
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.node.imu_input import ImuInput, MountingError, ReadingBuffer
 from emoflow_ros.node.tasks import Task

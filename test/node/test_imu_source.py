@@ -15,8 +15,8 @@ from graph import DVS
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events, Window, WindowSlicer
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus

@@ -17,7 +17,7 @@ import yaml
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import NodeOptions, Settings
 

@@ -57,6 +57,15 @@ def test_speed_that_is_given_is_exact() -> None:
         np.testing.assert_array_equal(covariance[3:, 3:], ANGULAR)
 
 
+def test_at_rest_a_filter_learns_that_the_velocity_is_zero_whatever_the_scale() -> None:
+    at_rest = np.diag([1e-4] * 3 + [1e-6] * 3)
+    for speed in (None, 0.0, 5.0):
+        covariance = published_covariance(at_rest, np.zeros(3), speed, WIDE)
+        np.testing.assert_array_equal(covariance, at_rest)
+        belief, variances = fused(np.zeros(3), covariance)
+        assert (np.abs(belief[:3]) < 0.05).all() and (variances[:3] < 2e-4).all()
+
+
 def test_speed_says_nothing_where_there_is_no_direction() -> None:
     covariance = published_covariance(UNOBSERVABLE, np.zeros(3), 3.0, WIDE)
     np.testing.assert_array_equal(covariance[:3, :3], UNKNOWN * np.eye(3))

@@ -5,14 +5,14 @@ import time
 import numpy as np
 from supervisor_bench import next_outcome
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.bounded_windows import RateLimitedSlicer
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
-from emoflow_ros.core.factory import make_estimator
 from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Present, Result, Task
 
@@ -25,7 +25,6 @@ CONFIG = load_config(
         "window.max_displacement_px": 9.0,
         "window.min_count": 5000,
         "estimator.max_events": 5000,
-        "estimator.max_doubt": 1.0,  # withholds no window
     }
 )
 

@@ -11,8 +11,8 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
 
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.diagnostics import Statistics
@@ -76,6 +76,9 @@ def result(start_ms: int = 1000, pictures: Any = None, **changes: Any) -> Result
     return Result(task, estimate, pictures or {})
 
 
+WIDE_NOW = PresentTwist(Twist(1, np.array([0.0, 0.6, 0.8]), np.array([4.0, 1.0, 8.0])), np.eye(6))
+
+
 def vector(v: Any) -> list[float]:
     return [v.x, v.y, v.z]
 
@@ -111,7 +114,7 @@ def test_unobservable_translation_stays_marked_when_scaled_and_rotated(
     assert vector(message.twist.twist.linear) == [0.0, 0.0, 0.0]
     found = np.reshape(message.twist.covariance, (6, 6))
     np.testing.assert_allclose(found, np.diag([-1.0, 0, 0, 6.0, 4.0, 5.0]), atol=1e-12)
-    assert b.status()[1] == "ok, translation not observable"
+    assert b.status()[1] == "ok, translation not observable, wide: start"
 
 
 def test_covariance_is_wide_along_a_direction_without_a_scale(bench: Callable[..., Bench]) -> None:
@@ -146,7 +149,7 @@ def test_status_carries_observability_quality_and_lag(bench: Callable[..., Bench
     b.node.now = 1300 * MS
     b.publish()
     level, message, values = b.status()
-    assert (level, message) == (b"\x00", "ok")
+    assert (level, message) == (b"\x00", "ok, wide: start")
     assert values["lag_ms"] == "295.0"
     assert values["translation_observable"] == "true"
     assert {"contrast_gain", "residual_px", "inlier_fraction", "iterations"} <= set(values)
@@ -202,7 +205,7 @@ def test_twists_are_withheld_without_a_transform(
     assert b.node.messages("egomotion/twist_with_covariance") == []
     assert len(b.node.messages("flow/image")) == 1
     reason = "no transform from optical to base: not yet; no twist is published"
-    assert b.status()[:2] == (b"\x01", f"ok; {reason}")
+    assert b.status()[:2] == (b"\x01", f"ok, wide: start; {reason}")
     assert b.statistics.problems == {"frame": (Level.WARN, reason)}
     tf.known = True
     b.publish(1010)
@@ -211,6 +214,36 @@ def test_twists_are_withheld_without_a_transform(
     b.made.close()
     assert b.node.publishers == {}
     assert tf.listening == 0
+
+
+def test_a_twist_that_is_wider_than_the_user_wants_is_held_back(
+    bench: Callable[..., Bench],
+) -> None:
+    b = bench(present=True, output__max_angular_sd=10.0, output__max_direction_sd=20.0)
+    degree = np.radians(1.0) ** 2
+    narrow = np.diag([300.0, 300.0, 0.0, 90.0, 90.0, 90.0]) * degree
+    b.publish(covariance=narrow)
+    assert b.status()[:2] == (b"\x00", "ok, wide: start")
+    wide = np.diag([300.0, 300.0, 0.0, 90.0, 90.0, 110.0]) * degree
+    b.publish(1010, covariance=wide)
+    b.outputs.publish_present(replace(present(100), found=replace(WIDE_NOW, covariance=wide)))
+    assert b.status()[:2] == (
+        b"\x00",
+        "ok, wide: start; held back: wider than output.max_angular_sd",
+    )
+    assert len(b.node.messages("egomotion/twist_with_covariance")) == 1
+    assert b.node.messages("egomotion/twist_now") == []
+    vague = np.diag([300.0, 500.0, 0.0, 90.0, 90.0, 90.0]) * degree
+    b.publish(1020, covariance=vague)
+    b.outputs.publish_present(replace(present(130), found=replace(WIDE_NOW, covariance=vague)))
+    assert (
+        b.status()[1] == "ok, wide: start; direction held back: wider than output.max_direction_sd"
+    )
+    for topic in ("twist_with_covariance", "twist_now"):
+        twist = b.last(topic).twist
+        assert vector(twist.twist.linear) == [0.0, 0.0, 0.0]
+        assert vector(twist.twist.angular) == [4.0, 1.0, 8.0]
+        np.testing.assert_allclose(np.diag(np.reshape(twist.covariance, (6, 6)))[:3], 1e6)
 
 
 def test_only_twists_that_are_published_count_as_given(
@@ -224,7 +257,7 @@ def test_only_twists_that_are_published_count_as_given(
     b.outputs.publish_present(present(100))
     assert given == []
     tf.known = True
-    b.publish(1010, status=Status.UNCERTAIN)
+    b.publish(1010, status=Status.NO_MOTION)
     assert given == []
     for t_ms in (120, 110):  # the second one is not the newest
         b.outputs.publish_present(present(t_ms))

@@ -20,8 +20,8 @@ from graph import DVS
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.node.channel import pack_window

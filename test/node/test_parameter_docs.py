@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.node.parameters import render
 from emoflow_ros.node.settings import NodeOptions, Settings, table
 

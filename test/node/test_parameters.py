@@ -1,4 +1,5 @@
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,10 +10,12 @@ from parameter_bench import Atomic, declare, parameter_nodes
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
-from emoflow_ros.core.config import Config, load_config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.parameters import Change, changes
 from emoflow_ros.node.settings import NodeOptions, Settings, table
+
+WARM = ("estimator.warm_iterations", 5)
 
 
 @pytest.fixture
@@ -55,6 +58,12 @@ def test_start_values_count_and_whole_numbers_are_fine(make_node: Callable[..., 
         ("window__duration_ms", 0.0, "out of range"),
         ("input__queue_windows", "many", "not of type int"),
         ("profile", "warp", "unknown profile"),
+        (
+            "estimator__device",
+            "cpu",
+            r"^estimator\.device: only the profiles paper\* have a device, this one runs on the "
+            r"processor; leave it out$",
+        ),
         ("output__target_source", "guess", "use one of tf, parameter"),
         ("scale__topic", "my odometry", "is not the name of a topic"),
     ],
@@ -193,6 +202,22 @@ def test_unknown_name_while_running_is_refused_with_the_nearest(
     answer = node.set(Parameter("scale.sped", value=1.0))
     assert not answer.successful
     assert answer.reason.startswith("scale.sped: no such option, the nearest is scale.speed; known")
+
+
+def test_a_parameter_of_an_earlier_version_is_left_out_with_a_warning(
+    make_node: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    log = SimpleNamespace(warning=said.append)
+    made = make_node(estimator__max_doubt=0.5)
+    monkeypatch.setattr(made, "get_logger", lambda: log)
+    node = Atomic(made, configured=True)
+    assert node.parameters.settings == Settings(NodeOptions(), load_config())
+    old, new = (Parameter(n, value=v) for n, v in (("estimator.max_doubt", 1.0), WARM))
+    assert node.set(old, new).successful
+    assert node.parameters.settings.config.estimator.warm_iterations == WARM[1]
+    assert len(said) == 2
+    assert all(line.startswith("estimator.max_doubt: no longer an option") for line in said)
 
 
 def test_change_that_somebody_else_refuses_has_no_effect(make_node: Callable[..., Any]) -> None:

@@ -16,9 +16,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker
 
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.calibration import camera_from_info
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.node.picture_output import PictureOutput, to_camera_info, to_image, to_tracks
 from emoflow_ros.node.settings import NodeOptions, Settings

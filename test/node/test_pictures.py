@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from fake_estimators import Recorder
 
+from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import Config
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import Events, Window
 from emoflow_ros.core.products import flow_to_rgb

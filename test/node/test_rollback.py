@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import Window, WindowSlicer
 from emoflow_ros.core.lattice_estimator import LatticeEstimator

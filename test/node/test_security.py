@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import MAX_PIXELS, Camera
 from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.config import Config, load_config
 from emoflow_ros.core.events import WindowPolicy
 from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError

@@ -80,9 +80,12 @@ def play(statistics: Statistics, clock: Clock, seconds: float, *windows: Result)
 @pytest.mark.parametrize(
     ("status", "words"),
     [
-        (Status.UNCERTAIN, "are uncertain: their estimates are probably wrong and withheld; more"),
         (Status.NO_MOTION, "show no motion: the camera is at rest, or the image moves too little"),
         (Status.TOO_FEW_EVENTS, "hold too few events: the camera is at rest, or estimator.min_e"),
+        (
+            Status.LOST,
+            "are lost, half a second after the last measurement (converged): show the ca",
+        ),
         (Status.DIVERGED, "diverged: check the calibration, or give longer windows"),
     ],
 )
@@ -90,7 +93,7 @@ def test_no_twist_while_events_come_warns_with_the_reason_of_most_windows(
     clock: Clock, result: Callable[..., Result], status: Status, words: str
 ) -> None:
     statistics = Statistics(clock)
-    other = Status.UNCERTAIN if status is Status.NO_MOTION else Status.NO_MOTION
+    other = Status.DIVERGED if status is Status.NO_MOTION else Status.NO_MOTION
     for _ in range(2):  # reports every 0.6 s: the windows of both count
         windows = [result(clock.now, s) for s in (status, other, status)]
         play(statistics, clock, 0.6, *windows)
@@ -104,12 +107,12 @@ def test_twists_that_are_published_are_no_reason_to_warn(
 ) -> None:
     statistics = Statistics(clock)
     for _ in range(10):
-        play(statistics, clock, 0.9, *[result(clock.now, Status.UNCERTAIN)] * 3, result(clock.now))
+        play(statistics, clock, 0.9, *[result(clock.now, Status.NO_MOTION)] * 3, result(clock.now))
         statistics.stream.give()
         report = statistics.report(2.0)
-        assert (report.level, report.message) == (Level.OK, "running; 3 of 4 windows: uncertain")
-    play(statistics, clock, 1.1, result(clock.now, Status.UNCERTAIN))
-    assert statistics.report(2.0).message.startswith("no twist for 1.1 s: 1 of 1 windows are unc")
+        assert (report.level, report.message) == (Level.OK, "running; 3 of 4 windows: no motion")
+    play(statistics, clock, 1.1, result(clock.now, Status.NO_MOTION))
+    assert statistics.report(2.0).message.startswith("no twist for 1.1 s: 1 of 1 windows show no")
 
 
 def test_windows_that_are_dropped_or_fail_are_reasons_for_no_twist(clock: Clock) -> None:

@@ -132,10 +132,10 @@ def test_worker_killed_while_idle_costs_nothing(bench: Callable[..., Bench]) -> 
 
 
 def test_hanging_worker_is_replaced_after_the_timeout(bench: Callable[..., Bench]) -> None:
-    b = bench("Hanging", timeout_s=0.5)
+    b = bench("Hanging", timeout_s=2.0)
     b.put(x=7)
     b.put()
-    assert "no answer in 0.5 s" in b.loss().reason
+    assert "no answer in 2 s" in b.loss().reason
     assert b.result().estimate.quality.events == 5
 
 
@@ -177,7 +177,7 @@ def test_worker_has_the_priority_of_the_node_or_a_lower_one(nice: int) -> None:
     try:
         worker.request({"kind": "warm_up"}, {}, WAIT_S)
         assert worker.pid is not None
-        assert psutil.Process(worker.pid).nice() == psutil.Process().nice() + nice
+        assert psutil.Process(worker.pid).nice() == min(19, psutil.Process().nice() + nice)
     finally:
         worker.end()
 
@@ -188,18 +188,13 @@ def test_stop_ends_a_busy_worker_at_once(bench: Callable[..., Bench]) -> None:
     assert pid is not None
     b.put()
     time.sleep(0.2)
-    started = time.monotonic()
-    b.supervisor.stop()
-    assert time.monotonic() - started < 10  # it would be busy for ever
+    b.supervisor.stop()  # it would be busy for ever
     with pytest.raises(queue.Empty):
         b.outcomes.get(timeout=0.1)
-    for _ in range(1000):
-        try:
-            os.kill(pid, 0)
-        except ProcessLookupError:
-            return
+    deadline = time.monotonic() + WAIT_S
+    while psutil.pid_exists(pid):
+        assert time.monotonic() < deadline, "the worker outlives its supervisor"
         time.sleep(0.01)
-    pytest.fail("the worker outlives its supervisor")
 
 
 def test_worker_that_cannot_start_is_tried_again() -> None:

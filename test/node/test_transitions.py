@@ -31,15 +31,15 @@ type Break = Callable[[pytest.MonkeyPatch, "Bench"], None]
 class Bench:
     """An unconfigured node without a worker."""
 
-    def __init__(self, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.supervisors = install_fake_supervisor(monkeypatch)
+    def __init__(self, context: Context, patch: pytest.MonkeyPatch, **values: Any) -> None:
+        self.supervisors = install_fake_supervisor(patch)
         self.log: list[str] = []
         self.node = EstimatorNode(
             context=context,
             use_global_arguments=False,
-            parameter_overrides=[Parameter("autostart", value=False)],
+            parameter_overrides=[Parameter(n, value=v) for n, v in values.items()],
         )
-        monkeypatch.setattr(self.node, "get_logger", lambda: self)
+        patch.setattr(self.node, "get_logger", lambda: self)
         self.before = self.entities()
 
     def error(self, line: str, **kwargs: Any) -> None:
@@ -55,8 +55,8 @@ class Bench:
         return str(self.node._state_machine.current_state[1])
 
     def entities(self) -> tuple[int, ...]:
-        node = self.node
-        kinds = (node.publishers, node.subscriptions, node.timers, node._managed_entities)
+        n = self.node
+        kinds = (n.publishers, n.subscriptions, n.timers, n._managed_entities)
         return tuple(len(list(kind)) for kind in kinds)
 
     def set(self, **values: Any) -> bool:
@@ -79,7 +79,7 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     with ros_context() as context:
-        yield Bench(context, monkeypatch)
+        yield Bench(context, monkeypatch, autostart=False)
 
 
 def broken(*args: Any, **kwargs: Any) -> Any:
@@ -116,7 +116,6 @@ def of_node(name: str, number: int = 1) -> Break:
 BAD_INPUT: dict[str, dict[str, Any]] = {
     "calibration": {"camera__calibration_file": "/nowhere.yaml"},
     "tf": {"output__target_frame": "base"},
-    "device": {"on_missing_device": "refuse", "estimator__device": "cuda"},
 }
 CONFIGURING: dict[str, Break] = {
     "supervisor": replaced(pipeline, "Supervisor"),
@@ -148,16 +147,21 @@ def each(breaks: dict[str, Any]) -> Any:
 
 
 @each(BAD_INPUT)
-def test_configuring_with_bad_input_leaves_nothing(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, fail: dict[str, Any]
-) -> None:
-    bench.set(**fail)
-    with monkeypatch.context() as patch:
-        patch.setattr(FakeSupervisor, "check", refused)
-        assert bench.node.trigger_configure() == FAILURE
+def test_configuring_with_bad_input_leaves_nothing(bench: Bench, fail: dict[str, Any]) -> None:
+    assert bench.set(**fail) and bench.node.trigger_configure() == FAILURE
     assert len(bench.log) == 1
-    assert bench.set(on_missing_device="cpu")
     assert bench.is_as_before()
+
+
+def test_configuring_without_the_device_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    with ros_context() as context:
+        wishes = {"on_missing_device": "refuse", "estimator.device": "cuda", "profile": "paper"}
+        bench = Bench(context, monkeypatch, autostart=False, **wishes)
+        monkeypatch.setattr(FakeSupervisor, "check", refused)
+        assert bench.node.trigger_configure() == FAILURE
+        assert bench.log == ["it: is bad; mend it"]
+        assert bench.set(on_missing_device="cpu") and bench.is_as_before()
 
 
 @each(CONFIGURING)

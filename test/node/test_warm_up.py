@@ -10,9 +10,9 @@ from importlib import import_module
 from numba.core.dispatcher import Dispatcher
 
 import emoflow_ros.core
-from emoflow_ros.core.config import Config
+from emoflow_ros.config import Config
 from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, WindowSlicer
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.node.worker import _Worker
 from emoflow_ros.simulation.recording import simulate
@@ -22,7 +22,6 @@ def compiled():
     return {
         f"{module}.{name}": len(value.signatures)
         for _, module, _ in pkgutil.iter_modules(emoflow_ros.core.__path__)
-        if module not in ("contrast_torch", "device_events", "implicit")
         for name, value in vars(import_module(f"emoflow_ros.core.{module}")).items()
         if isinstance(value, Dispatcher)
     }
@@ -46,7 +45,7 @@ print([name for name, count in compiled().items() if count > before[name]])
 
 
 WARM_UP = """
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.worker import _Worker
 print(_Worker(make_estimator)._warm_up())
 """
@@ -73,8 +72,8 @@ from dataclasses import asdict
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from emoflow_ros.core.config import Config
-from emoflow_ros.core.factory import make_estimator
+from emoflow_ros.config import Config
+from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.worker import WARM_UP_CAMERA, _Worker
 
 

@@ -62,12 +62,6 @@ def test_pure_rotation_is_named(task: Task) -> None:
     assert report.values["translation_observable"] == "false"
 
 
-def test_a_flow_that_is_withheld_is_named(task: Task) -> None:
-    report = judge_result(replace(answer(task, Status.OK), has_flow=False), now=0)
-    assert (report.level, report.message) == (Level.OK, "ok, flow withheld")
-    assert report.values["flow"] == "false"
-
-
 @pytest.mark.parametrize(("reason", "level"), [
     (Status.NO_MOTION, Level.WARN), (Status.DIVERGED, Level.ERROR),
 ])  # fmt: skip
@@ -94,10 +88,38 @@ def test_twist_that_is_not_what_was_asked_for_warns(task: Task) -> None:
     assert judge_result(answer(task, Status.OK), 0, "topic").values["scale"] == "topic"
 
 
+@pytest.mark.parametrize(("status", "model", "words"), [
+    (Status.STILL, MotionModel.STATIC, "still"),
+    (Status.CARRIED, MotionModel.FULL, "carried, wide: no_motion"),
+    (Status.CARRIED, MotionModel.ROTATION,
+     "carried, translation not observable, wide: no_motion"),
+    (Status.BOUNDED, MotionModel.STATIC, "bounded, translation not observable, wide: no_motion"),
+    (Status.LOST, MotionModel.STATIC, "lost, wide: no_motion"),
+])  # fmt: skip
+def test_one_word_says_why_a_motion_is_wide_that_was_not_measured(
+    task: Task, status: Status, model: MotionModel, words: str
+) -> None:
+    result = answer(task, status, model)
+    quality = replace(result.estimate.quality, stop_reason="no_motion")
+    result = replace(result, estimate=replace(result.estimate, quality=quality))
+    assert judge_result(result, now=0).message == words
+
+
+def test_a_fit_that_diverged_is_an_error_while_its_motion_is_carried_on(task: Task) -> None:
+    result = answer(task, Status.CARRIED)
+    quality = replace(result.estimate.quality, stop_reason="diverged")
+    result = replace(result, estimate=replace(result.estimate, quality=quality))
+    assert judge_result(result, now=0).level is Level.ERROR
+
+
 @pytest.mark.parametrize(
     ("status", "level"),
     [
         (Status.OK, Level.OK),
+        (Status.STILL, Level.OK),
+        (Status.CARRIED, Level.WARN),
+        (Status.BOUNDED, Level.WARN),
+        (Status.LOST, Level.WARN),
         (Status.NO_MOTION, Level.WARN),
         (Status.TOO_FEW_EVENTS, Level.WARN),
         (Status.DIVERGED, Level.ERROR),

@@ -9,6 +9,8 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 from pipeline_bench import PipelineBench
 
 from emoflow_ros.node.reports import Level
+from emoflow_ros.node.settings import Settings
+from emoflow_ros.published.implicit_config import ImplicitConfig
 
 
 @pytest.fixture
@@ -52,6 +54,8 @@ def test_load_of_the_machine_is_told_from_settings_that_are_too_slow(
     bench.play(1015, 1046)
     assert bench.said[-1].startswith(f"dropped: {line}")
     if processor_s < 0.05:  # a GPU lets the processor wait
-        bench.pipeline.set_settings(bench.settings.changed({"estimator.device": "cuda"}))
+        published = ImplicitConfig(device="cuda")
+        config = replace(bench.settings.config, method="implicit", estimator=published)
+        bench.pipeline.set_settings(Settings(bench.settings.node, config))
         bench.play(1050, 1061)
         assert bench.said[-1].startswith("dropped: the estimation is slower than the events;")

@@ -12,11 +12,11 @@ from event_bags import make_events, write_event_bag
 sys.path.append(str(Path(__file__).parents[1] / "msg_adapters"))
 from encoders import evt3
 
+from emoflow_ros.commands import evaluate as evaluate_command
+from emoflow_ros.commands import label as label_command
 from emoflow_ros.commands.info import inspect
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
-from emoflow_ros.evaluation import evaluate_command
-from emoflow_ros.labels import label_command
 from emoflow_ros.readers import open_recording, unordered
 
 COUNT = 3000  # at 1 kHz

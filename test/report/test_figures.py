@@ -66,6 +66,19 @@ def test_paths_and_runs_of_every_size_stay_in_the_figure(size):
     assert outside_in(figures.runs_over_time([("a", series), ("b", series)], "EPE", "px")) <= 0
 
 
+def test_the_path_is_drawn_beside_the_truth():
+    """A way of another scale and world: a similarity brings it onto the true one."""
+    positions = np.cumsum(np.random.default_rng(2).normal(size=(20, 3)), axis=0)
+    true, ours = np.tile(np.eye(4), (2, 20, 1, 1))
+    true[:, :3, 3], ours[:, :3, 3] = positions, 0.1 * positions[:, [1, 2, 0]] + 3.0
+    path = Trajectory(np.arange(20) * 100 * NS_PER_MS, ours, true).scaled()
+    above, over_time = figures.trajectory(path).axes
+    lines = {line.get_label(): line.get_xydata() for line in above.lines}
+    assert lines["ground truth"].shape == (20, 2)
+    np.testing.assert_allclose(lines["estimate"], lines["ground truth"], atol=1e-9)
+    np.testing.assert_allclose(over_time.lines[0].get_ydata(), 0, atol=1e-9)
+
+
 @pytest.mark.parametrize("names", [["poses"], ["poses", "IMU"], ["poses", LONG_NAME, LONG_NAME]])
 def test_the_names_of_truths_stay_in_the_figure(names):
     windows = windows_of(0.3, len(names))

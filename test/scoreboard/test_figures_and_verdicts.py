@@ -47,6 +47,14 @@ def test_a_silent_camera_at_rest_is_accurate_and_honest():
     assert verdict.criteria["coverage"] is None
 
 
+def test_a_moving_camera_without_any_estimate_is_neither_accurate_nor_honest():
+    verdict = judge(figures(*[silent()] * 3))
+    assert verdict.missed == ["coverage", "answer"]
+    assert not verdict.accurate
+    assert not verdict.honest
+    assert judge(figures(silent(), row())).criteria["answer"] is True
+
+
 def test_a_wrong_error_is_beyond_three_sigma_and_beyond_the_least_error():
     wrong = {"angular": np.radians([16.0, 0, 0])}  # 6 deg/s off
     sure, unsure = np.radians(1.9) ** 2 * np.eye(3), np.radians(2.1) ** 2 * np.eye(3)
@@ -117,6 +125,7 @@ def test_w_is_settled_once_it_stays_good_from_both_starts():
         ("w", {"w_rms": 8.0, "w_true_rms": 100.0}, {"w_rms": 8.01, "w_true_rms": 100.0}),
         ("v", {"v_median": 8.0}, {"v_median": 8.1}),
         ("v", {"v_median": NAN, "v_claimed": NAN}, {"v_median": NAN, "v_claimed": 0.0}),
+        ("answer", {"estimates": 1}, {"estimates": 0}),
         ("still", {"still_wrong": 0.0}, {"still_wrong": 0.1}),
         ("nees", {"nees_w": 3.0, "nees_v": 0.3}, {"nees_w": 3.0, "nees_v": 0.29}),
         ("nees", {"nees_w": 0.3, "nees_v": NAN}, {"nees_w": 3.1, "nees_v": NAN}),

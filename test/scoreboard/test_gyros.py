@@ -16,8 +16,8 @@ from benchmarks.scoreboard.gyros import (
 )
 from benchmarks.scoreboard.observe import observe
 from benchmarks.scoreboard.subjects import Material, shared_subjects
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.estimate import Estimate, Quality, Status
 from emoflow_ros.core.events import Events
 from emoflow_ros.core.gyro_measurement import GyroReadings

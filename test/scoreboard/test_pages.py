@@ -18,8 +18,8 @@ from benchmarks.scoreboard.summary import summarise
 from benchmarks.scoreboard.table import table
 from benchmarks.scoreboard.verdicts import judge
 from benchmarks.scoreboard.windows import WINDOW, make_windows
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import load_config
 from emoflow_ros.core.events import Events
 from emoflow_ros.errors import InputError
 

@@ -14,7 +14,7 @@ from benchmarks.scoreboard.run import Outcome
 from benchmarks.scoreboard.summary import breakdown, summarise
 from benchmarks.scoreboard.verdicts import CRITERIA, judge
 from benchmarks.scoreboard.windows import make_windows
-from emoflow_ros.core.config import load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.errors import InputError
 from emoflow_ros.report.documents import write_json
 

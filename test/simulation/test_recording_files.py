@@ -5,11 +5,11 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
+from emoflow_ros.commands import simulate as executable
 from emoflow_ros.core.calibration import load_calibration
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import Events
 from emoflow_ros.readers import open_recording
-from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.factors import draw_factors
 from emoflow_ros.simulation.messages import (
     EVENT_ARRAY,

@@ -6,11 +6,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from emoflow_ros.commands import simulate as executable
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.config import GyroConfig
+from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.readers import open_recording
-from emoflow_ros.simulation import simulate as executable
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import (
     LENSES,

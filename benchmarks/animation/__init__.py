@@ -1,0 +1,1 @@
+"""The animation on the README's first screen."""

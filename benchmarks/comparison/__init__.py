@@ -1,0 +1,1 @@
+"""MVSEC's table: our rows beside those of others."""

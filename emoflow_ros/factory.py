@@ -1,0 +1,49 @@
+"""Estimators by configuration: the one place that knows both of `core` and of `published`."""
+
+from emoflow_ros.config import Config, require_torch
+from emoflow_ros.core.bounded_windows import BoundedWindows
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimator
+from emoflow_ros.core.lattice_config import LatticeConfig
+
+
+def make_estimator(camera: Camera, config: Config) -> Estimator:
+    """Build the estimator that a configuration asks for.
+
+    Windows that hold more events than the estimator uses are thinned first. Only its own libraries
+    are imported: the lattice needs no torch.
+
+    Raises:
+        InputError: the configuration asks for a device, or for PyTorch, that is not there.
+    """
+    require_torch(config)
+    if isinstance(config.estimator, LatticeConfig):
+        estimator = _make_lattice_estimator(camera, config, config.estimator)
+    else:
+        from emoflow_ros.published.estimator import ImplicitEstimator
+
+        estimator = ImplicitEstimator(camera, config.estimator)
+        if config.window.max_displacement_px > 0:
+            from emoflow_ros.core.motion_windows import MotionWindows
+
+            estimator = MotionWindows(estimator, camera, config.window, None)
+    return BoundedWindows(estimator, config.event_budget)
+
+
+def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
+    from emoflow_ros.core.lattice_estimator import LatticeEstimator
+    from emoflow_ros.core.motion_windows import MotionWindows
+    from emoflow_ros.core.preparation import CleanWindows
+    from emoflow_ros.core.second_look import QuickLook
+    from emoflow_ros.core.stream import ContinuousEstimator
+
+    estimator: Estimator = LatticeEstimator(camera, lattice, config.imu)
+    if config.window.max_displacement_px > 0:
+        look = QuickLook(camera, lattice).flow
+        estimator = MotionWindows(estimator, camera, config.window, look)
+    if lattice.memory:
+        from emoflow_ros.core.remembering import RememberingEstimator
+
+        estimator = RememberingEstimator(estimator, camera)
+    estimator = ContinuousEstimator(estimator, camera, lattice)
+    return CleanWindows(estimator, camera)

@@ -1,0 +1,75 @@
+"""Streams of a scene of edges that moves at any speed over noise, and what is measured of them."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.camera_motion import SplineMotion
+from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
+
+CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
+LATTICE = Lattice(346, 260, 3, 3, 2)
+LENGTH = 135 * NS_PER_MS
+EDGES, EDGE_PX = 60, 80
+DOTS = EDGES * EDGE_PX
+FOCAL_PX = 226.0
+
+
+def scene(
+    px_s: float | Callable[[float], float], duration_s: float, noise_hz: float = 0.2
+) -> Events:
+    """Upright edges that move right and leave an event a px, over noise; they go round."""
+    rng = np.random.default_rng(0)
+    speed = px_s if callable(px_s) else lambda t: px_s
+    steps = np.arange(0.0, duration_s, 1e-3)
+    way = np.cumsum([speed(t) for t in steps]) * 1e-3
+    x0 = np.repeat(rng.uniform(0, 346, EDGES), EDGE_PX)
+    rows = np.repeat(rng.integers(0, 260, EDGES), EDGE_PX) + np.tile(np.arange(EDGE_PX), EDGES)
+    phase = rng.uniform(0, 1, DOTS)
+    whole = np.arange(1.0, way[-1] + 1)[:, None]
+    seen = (whole - phase < way[-1]).ravel()
+    t = np.interp(whole - phase, way, steps).ravel()[seen]
+    x = ((x0 + whole) % 346).ravel()[seen]
+    y = np.tile(rows % 260, len(whole))[seen]
+    p = np.tile(np.repeat(rng.random(EDGES) < 0.5, EDGE_PX), len(whole))[seen]
+    n = rng.poisson(noise_hz * 346 * 260 * duration_s)
+    t = np.concatenate([t, rng.uniform(0, duration_s, n)])
+    x = np.concatenate([x, rng.integers(0, 346, n)])
+    y = np.concatenate([y, rng.integers(0, 260, n)])
+    p = np.concatenate([p, rng.random(n) < 0.5])
+    order = np.argsort(t)
+    return Events(
+        x[order].astype(np.uint16), y[order].astype(np.uint16),
+        (t[order] * NS_PER_S).astype(np.int64), p[order],
+    )  # fmt: skip
+
+
+def window(events: Events, end_ms: float, length: int = LENGTH) -> Window:
+    end = round(end_ms * NS_PER_MS)
+    first, last = np.searchsorted(events.t, [end - length, end])
+    return Window(end - length, end, events[first:last])
+
+
+def measured(at: Window, px_s: float, sigma: float = 0.01) -> Estimate:
+    """What an estimator tells of a window in which the image moves right at this speed."""
+    flow = np.zeros(LATTICE.shape, np.float32)
+    flow[..., 0] = px_s * at.duration
+    w = np.array([0.0, -px_s / FOCAL_PX, 0.0])
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = sigma**2 * np.eye(3)
+    covariance[0, 0] = -1.0
+    motion = SplineMotion(at.t_start, at.t_end, np.tile(w, (4, 1)), np.zeros((4, 3)))
+    return Estimate(
+        at.t_start, at.t_end, (at.t_start + at.t_end) // 2, Status.OK, Quality(5000),
+        MotionModel.ROTATION, np.zeros(3), w, covariance,
+        LatticeFlow(LATTICE, flow, at.t_start, at.t_end), motion,
+    )  # fmt: skip
+
+
+def nothing(at: Window, status: Status = Status.NO_MOTION) -> Estimate:
+    """What an estimator tells of a window in which it finds nothing."""
+    middle = (at.t_start + at.t_end) // 2
+    return Estimate(at.t_start, at.t_end, middle, status, Quality(9, stop_reason=str(status)))

@@ -1,0 +1,151 @@
+"""The published stream in a user's filter: nearer to the truth than the stream alone."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="no ROS: run `make test`")
+
+from ekf import SmallFilter
+from fake_node import FakeNode
+from numpy.typing import NDArray
+
+from emoflow_ros.config import load_config
+from emoflow_ros.core.events import NS_PER_S, WindowSlicer
+from emoflow_ros.factory import make_estimator
+from emoflow_ros.node.diagnostics import Statistics
+from emoflow_ros.node.outputs import Outputs
+from emoflow_ros.node.settings import NodeOptions
+from emoflow_ros.node.tasks import Result, Task
+from emoflow_ros.simulation.random_recording import draw_factors, simulate_random
+from emoflow_ros.simulation.simulated_truth import GroundTruth
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGURATION = ROOT / "config" / "filters" / "robot_localization.yaml"
+SEEDS = (100, 101, 102, 103, 104, 105, 106, 108, 109, 110)
+DURATION_S = 1.0
+GYRO_S, GYRO_SIGMA = 0.1, np.radians(1.0)
+OF_DIRECTION = np.radians(60.0) ** 2
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Published:
+    """Twists of one recording, as a subscriber gets them, and the truth."""
+
+    messages: list[Any]
+    truth: GroundTruth
+
+
+def publish(seed: int) -> Published:
+    """Estimate a random recording, and publish its windows as the node does."""
+    recording = simulate_random(draw_factors(seed, {"sensor": "240x180"}), duration_s=DURATION_S)
+    config, node = load_config(), FakeNode()
+    estimator = make_estimator(recording.calibration, config)
+    with ExitStack() as made:
+        outputs = Outputs(node, NodeOptions(), Statistics(), made)  # type: ignore[arg-type]
+        for window in WindowSlicer(config.window).push(recording.events):
+            task = Task(window, 0, 0, "camera", 0.0)
+            outputs.publish(Result(task, estimator.estimate(window), has_flow=False))
+        return Published(list(node.messages("egomotion/twist_with_covariance")), recording.truth)
+
+
+@pytest.fixture(scope="module")
+def published() -> list[Published]:
+    return [publish(seed) for seed in SEEDS]
+
+
+@pytest.fixture(scope="module")
+def configuration() -> dict[str, Any]:
+    parameters: dict[str, Any] = yaml.safe_load(CONFIGURATION.read_text())["/**"]["ros__parameters"]
+    return parameters
+
+
+def time_of(message: Any) -> int:
+    return int(message.header.stamp.sec) * NS_PER_S + int(message.header.stamp.nanosec)
+
+
+def degrees_between(a: Array, b: Array) -> float:
+    lengths = np.linalg.norm(a) * np.linalg.norm(b)
+    return float(np.degrees(np.arccos(np.clip(a @ b / lengths, -1, 1))))
+
+
+def errors(
+    stream: Published, of_w: float, gyro: np.random.Generator | None = None
+) -> tuple[Array, Array, Array, list[tuple[float, float]]]:
+    """Errors of w (N,) raw and filtered, deg/s, the filter's NEES (N,), and of v, degrees."""
+    found = SmallFilter(of_w, OF_DIRECTION)
+    raw, filtered, nees, directions, read = [], [], [], [], 0.0
+    for message in stream.messages:
+        t = time_of(message)
+        while gyro is not None and read <= t / NS_PER_S:
+            true = stream.truth.twist(round(read * NS_PER_S))[1]
+            found.take_gyro(read, true + gyro.normal(0, GYRO_SIGMA, 3), GYRO_SIGMA)
+            read += GYRO_S
+        found.take(message)
+        v, w = stream.truth.twist(t)
+        angular, linear = message.twist.twist.angular, message.twist.twist.linear
+        raw.append(np.array([angular.x, angular.y, angular.z]) - w)
+        filtered.append(found.w - w)
+        nees.append(filtered[-1] @ np.linalg.solve(found.w_covariance, filtered[-1]) / 3)
+        seen = np.array([linear.x, linear.y, linear.z])
+        if seen.any() and np.linalg.norm(v) > 0.05:
+            directions.append((degrees_between(seen, v), degrees_between(found.v, v)))
+    lengths = [np.degrees(np.linalg.norm(e, axis=1)) for e in (raw, filtered)]
+    return lengths[0], lengths[1], np.array(nees), directions
+
+
+def rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_the_configuration_of_robot_localization_is_complete(
+    configuration: dict[str, Any],
+) -> None:
+    sources = ("twist0", "odom0", "imu0")
+    assert configuration["twist0"] == "egomotion/twist_with_covariance"
+    for source in sources:
+        fused = configuration[f"{source}_config"]
+        assert len(fused) == 15 and all(isinstance(one, bool) for one in fused)
+        assert configuration[f"{source}_queue_size"] >= 10
+    assert [k for k, one in enumerate(configuration["twist0_config"]) if one] == [9, 10, 11]
+    for source in ("odom0", "imu0"):
+        assert (
+            configuration[f"{source}_differential"] is configuration[f"{source}_relative"] is False
+        )
+    assert len(configuration["process_noise_covariance"]) == 15
+    for frame in ("map_frame", "odom_frame", "base_link_frame", "world_frame"):
+        assert configuration[frame]
+
+
+def test_a_filter_comes_nearer_to_the_truth_than_the_stream(
+    published: list[Published], configuration: dict[str, Any]
+) -> None:
+    of_w = configuration["process_noise_covariance"][9]
+    found = [errors(stream, of_w) for stream in published]
+    assert sum(len(raw) for raw, *_ in found) > 100
+    ratios = [rms(filtered) / rms(raw) for raw, filtered, *_ in found]
+    assert np.exp(np.mean(np.log(ratios))) < 0.95
+    assert sum(ratio < 1 for ratio in ratios) >= 7
+    directions = np.concatenate([d for *_, d in found if d])
+    assert len(directions) > 10
+    assert rms(directions[:, 1]) < rms(directions[:, 0])
+
+
+def test_with_a_gyro_at_10_hz_it_is_better_still(
+    published: list[Published], configuration: dict[str, Any]
+) -> None:
+    of_w = configuration["process_noise_covariance"][9]
+    rng = np.random.default_rng(0)
+    found = [errors(stream, of_w, rng) for stream in published]
+    ratios = [rms(filtered) / rms(raw) for raw, filtered, *_ in found]
+    assert np.exp(np.mean(np.log(ratios))) < 0.85
+    alone = [errors(stream, of_w) for stream in published]
+    better = [rms(a[1]) < rms(b[1]) for a, b in zip(found, alone, strict=True)]
+    assert sum(better) >= 8
