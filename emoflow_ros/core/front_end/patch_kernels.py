@@ -12,7 +12,7 @@ F64 = NDArray[np.float64]
 
 # Share of the larger information below which the smaller one may be chance: an edge.
 EDGE = 0.15
-_NEAR = 0.7  # correlation from which a template lies nearly where it fits
+_NEAR = 0.6  # correlation from which a template lies nearly where it fits
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
