@@ -21,6 +21,7 @@ Index = NDArray[np.int64]
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-7, 1e4
 _LEAST_GAIN = 1e-4  # share of the cost by which a step that goes on must lower it
 _REGULAR = 1e-9  # added to the diagonal
+_AT_ONE_PLACE = 6  # unknowns of a node at most without its position and velocity
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
@@ -49,7 +50,7 @@ def descend(
     Raises:
         numpy.linalg.LinAlgError: the equations are not positive definite.
     """
-    travels = len(free) > POSE_FREE * len(start.position)
+    travels = len(free) > _AT_ONE_PLACE * len(start.position)
     size, patches = NODE * len(start.position), len(o.anchor)
     squares = np.empty(len(o.patch))
     matrix, right = np.zeros((size, size)), np.zeros(size)
@@ -61,7 +62,7 @@ def descend(
             x.inverse_depth,
         )  # fmt: skip
     now = observation_cost(o, x, outlier, squares) + motion_prior(x, prior, matrix, right, False)
-    damping, again = _DAMPING, True
+    damping = _DAMPING
     for _ in range(steps):
         matrix[:], right[:], cross[:], own[:], own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
         observe(o, x, outlier, matrix, right, cross, own, own_right)
@@ -85,9 +86,6 @@ def descend(
     without_depths(matrix, right, cross, own, own_right)
     now = observation_cost(o, x, outlier, squares) + motion_prior(x, prior, matrix, right, False)
     return x, now, squares, _chosen(matrix, free)
-
-
-POSE_FREE = 6  # unknowns of a node without a position
 
 
 @_compiled

@@ -107,9 +107,11 @@ def align(
             e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
             e = e / (total * np.float32(INDEPENDENT * reach * reach))
             if product > _NEAR * math.sqrt(squares * power):
-                high, low, shown, ux, uy = _axes(gain * p, gain * q, gain * r, EDGE)
+                high, low, shown, ux, uy = _axes(
+                    float(gain * p), float(gain * q), float(gain * r), EDGE
+                )
             else:  # too far off to share slopes
-                high, low, shown, ux, uy = _axes(a, b, c, 0.0)
+                high, low, shown, ux, uy = _axes(float(a), float(b), float(c), 0.0)
             if not high > 0:
                 break
             rx, ry = gain * tx - jx, gain * ty - jy
@@ -167,23 +169,21 @@ def _judge(
                 r += w * ty * jy
     gain = product / squares
     variance = max(power - gain * product, np.float32(1e-6) * power) / total
-    high, low, _, ux, uy = _axes(gain * p, gain * q, gain * r, EDGE)
-    p, r = high * ux * ux + low * uy * uy, high * uy * uy + low * ux * ux
-    q = (high - low) * ux * uy
-    det = max((a * c - b * b) * variance, np.float32(1e-12))
+    high, low, _, ux, uy = _axes(float(gain * p), float(gain * q), float(gain * r), EDGE)
+    xx, yy = high * ux * ux + low * uy * uy, high * uy * uy + low * ux * ux
+    xy = (high - low) * ux * uy
+    det = max(float(a * c - b * b) * float(variance), 1e-12)
     # S (J' J')^-1 S
-    m00, m01 = (p * c - q * b) / det, (q * a - p * b) / det
-    m10, m11 = (q * c - r * b) / det, (r * a - q * b) / det
-    information[0, 0] = m00 * p + m01 * q
-    information[0, 1] = information[1, 0] = m00 * q + m01 * r
-    information[1, 1] = m10 * q + m11 * r
+    m00, m01 = (xx * c - xy * b) / det, (xy * a - xx * b) / det
+    m10, m11 = (xy * c - yy * b) / det, (yy * a - xy * b) / det
+    information[0, 0] = m00 * xx + m01 * xy
+    information[0, 1] = information[1, 0] = m00 * xy + m01 * yy
+    information[1, 1] = m10 * xy + m11 * yy
     return float(product) / math.sqrt(squares * power)
 
 
 @_compiled
-def _axes(
-    p: float, q: float, r: float, chance: float
-) -> tuple[float, float, float, float, float]:
+def _axes(p: float, q: float, r: float, chance: float) -> tuple[float, float, float, float, float]:
     """Principal axes of products of slopes [p, q; q, r].
 
     Returns:

@@ -200,9 +200,10 @@ def on_plane(
 
 
 def looked_up(camera: Camera, place: Array) -> tuple[Array, Array]:
-    """Bearings (N, 2) and flow Jacobians (N, 2, 2) at places (N, 2) px: `Camera.undistort`, quickly.
+    """Bearings (N, 2) and flow Jacobians (N, 2, 2) at places (N, 2) px, off the camera's maps.
 
-    Linear between whole pixels; NaN off the image and where the lens has no inverse.
+    Quicker than `Camera.undistort`. Linear between whole pixels; NaN off the image and where the
+    lens has no inverse.
     """
     low = np.floor(place).astype(np.int64)
     inside = ((low >= 0) & (low < np.array(camera.size) - 1)).all(axis=1)
