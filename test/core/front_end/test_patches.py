@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.front_end.patches import Patches, choose, follow, on_plane
+from emoflow_ros.core.front_end.patches import Patches, choose, follow, looked_up, on_plane
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slice_kernels import halve
 from emoflow_ros.core.front_end.slices import Picture, Slice, grid_size
@@ -133,3 +133,46 @@ def test_the_oldest_slice_is_forgotten_with_what_only_it_shows():
     assert len(kept) == len(found) - lost.sum()
     assert kept.found.shape[1] == 1
     assert (kept.inverse_depth == 0.7).all()
+
+
+@pytest.mark.parametrize("missing", [1, 3, 4])
+def test_a_patch_is_waited_for_three_slices_long(missing):
+    image = texture()
+    patches = first(image)
+    for k in range(missing):
+        patches = follow(
+            patches,
+            slice_of(np.zeros_like(image), (k + 1) * 10**7),
+            patches.place,
+            CAMERA,
+            SETTINGS,
+        )
+        assert not patches.shown.any()
+    patches = follow(patches, slice_of(image, 10**8), patches.place, CAMERA, SETTINGS)
+    assert patches.shown.mean() == (0.0 if missing > SETTINGS.patience else 1.0)
+
+
+def test_along_a_noisy_edge_a_patch_stays_where_it_is_expected():
+    rng = np.random.default_rng(3)
+    edge = np.zeros((120, 160))
+    edge[:, 80] = 60.0
+    noisy = [gaussian_filter(edge + 4 * rng.normal(size=edge.shape), 0.8) for _ in range(2)]
+    patches = first(noisy[0].astype(np.float32))
+    patches = patches.at(np.abs(patches.place[:, 0] - 80) < 2)
+    assert len(patches) > 3
+    found = follow(patches, slice_of(noisy[1], 10**7), patches.place, CAMERA, SETTINGS)
+    along = (found.place - patches.place)[found.shown, 1]
+    assert found.shown.mean() > 0.9
+    assert np.sqrt(np.mean(along**2)) < 0.5
+
+
+def test_bearings_off_the_maps_are_those_of_the_lens():
+    camera = Camera(160, 120, 120.0, 118.0, 80.0, 60.0, "plumb_bob", (-0.3, 0.1, 0.001, -0.002))
+    rng = np.random.default_rng(4)
+    place = rng.uniform([1, 1], [158, 118], (200, 2))
+    bearing, jacobian = looked_up(camera, place)
+    exact, slope = camera.undistort(place)
+    assert bearing == pytest.approx(exact, abs=5e-5)
+    assert jacobian == pytest.approx(slope, abs=3e-4)
+    outside, _ = looked_up(camera, np.array([[-1.0, 5.0], [159.5, 5.0], [np.nan, 3.0]]))
+    assert np.isnan(outside).all()
