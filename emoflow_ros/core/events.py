@@ -175,7 +175,7 @@ class WindowPolicy:
             )
 
 
-# The slices that the motion of now is estimated from (core.present_motion): their length, the
+# The slices that the latest twist is estimated from (core.present_motion): their length, the
 # events that their latest 10 ms may hold, and the bins in which that is limited (core.thinning).
 SLICE_MS = 60.0
 SLICE_EVENTS = 4_000

@@ -226,7 +226,7 @@ class LatticeEstimator:
             # Trust earlier windows less if the motion puts part of the scene behind the camera.
             trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
             others = replace(others, size=others.size + trust * prior.surprise(others.v))
-        heat = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
+        softness = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
         best = int(others.cost.argmin())
         rotates = self._selector.model is MotionModel.ROTATION  # v is then only a guess
         margin = 0.0 if rotates else _SWITCH * here.residual[0]
@@ -236,7 +236,9 @@ class LatticeEstimator:
             present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
             middle = here.w[0]
         w = here.w[0]
-        self._reader.possible = PossibleMotions.weigh((middle, present), here, others, turn, heat)
+        self._reader.possible = PossibleMotions.weigh(
+            (middle, present), here, others, turn, softness
+        )
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)
             self._selector = ModelSelector()

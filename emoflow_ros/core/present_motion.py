@@ -1,4 +1,4 @@
-"""The motion of now, from the newest events and the scene that the last window has shown.
+"""The latest twist, from the newest events and the scene that the last window has shown.
 
 A window's estimate holds at its middle, and comes after its last event by the time that it takes to
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
@@ -58,7 +58,7 @@ _LIVE_GAP = 0.025**2  # (rad/s)^2, variance of the gap where readings end at the
 
 
 class PresentMotion:
-    """Estimates the motion of now between the estimates of windows.
+    """Estimates the latest twist between the estimates of windows.
 
     It depends on the last estimate and on the slice's own events alone.
 
@@ -77,7 +77,7 @@ class PresentMotion:
         self._scene: SeenScene | None = None
 
     def know(self, estimate: Estimate, gyro: GyroReadings | None = None) -> None:
-        """Take a window's estimate. After one that cannot be used there is no motion of now.
+        """Take a window's estimate. After one that cannot be used there is no latest twist.
 
         Args:
             estimate: of the window.

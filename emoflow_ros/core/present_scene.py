@@ -1,4 +1,4 @@
-"""What a window has shown near its end, for the motion of now."""
+"""What a window has shown near its end, for the latest twist."""
 
 from dataclasses import dataclass
 

@@ -145,9 +145,9 @@ class PossibleMotions:
         here: Explanations,
         travels: Explanations,
         rotation: Explanations,
-        heat: float = 1.0,
+        temperature: float = 1.0,
     ) -> "PossibleMotions":
-        """Weigh motions by exp(-cost / (2 heat)).
+        """Weigh motions by exp(-cost / (2 temperature)).
 
         Before the flow is seen a camera that only turns is as likely as all travels together.
 
@@ -156,14 +156,14 @@ class PossibleMotions:
             here: what it costs.
             travels: other motions.
             rotation: a camera that only turns.
-            heat: temperature of the window.
+            temperature: temperature of the window.
         """
         signs = np.where(travels.v @ present[1] < 0, -1.0, 1.0)[:, None]
         turn = np.concatenate([rotation.w[0] - present[0], np.zeros(3)])
         others = np.hstack([travels.w - present[0], signs * travels.v - present[1]])
         apart = np.vstack([np.zeros(6), others, turn])
         cost = np.concatenate([here.cost, travels.cost, rotation.cost])
-        weight = np.exp(-0.5 * (cost - cost.min()) / heat)
+        weight = np.exp(-0.5 * (cost - cost.min()) / temperature)
         weight[-1] *= len(travels.v)
         weight /= weight.sum()
         mean = weight @ apart

@@ -1,7 +1,7 @@
 """The channel between the node and its worker, and what crosses it.
 
 That is plain data only: a JSON header and arrays, no pickled objects. A window goes to the worker
-in few bytes; its estimate, or the motion of now, comes back.
+in few bytes; its estimate, or the latest twist, comes back.
 """
 
 import json
@@ -181,7 +181,7 @@ def unpack(task: Task, header: dict[str, Any], arrays: Arrays) -> Result:
 
 
 def pack_present(found: PresentTwist | None) -> tuple[dict[str, Any], Arrays]:
-    """Turn the motion of now, if there is one, into plain data."""
+    """Turn the latest twist, if there is one, into plain data."""
     if found is None:
         return {"t": None}, {}
     twist = found.twist
@@ -190,7 +190,7 @@ def pack_present(found: PresentTwist | None) -> tuple[dict[str, Any], Arrays]:
 
 
 def unpack_present(task: Task, header: dict[str, Any], arrays: Arrays) -> Present | None:
-    """Build the answer to a slice; None if there is no motion of now."""
+    """Build the answer to a slice; None if there is no latest twist."""
     if header["t"] is None:
         return None
     twist = Twist(header["t"], arrays["linear"], arrays["angular"])

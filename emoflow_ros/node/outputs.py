@@ -92,7 +92,7 @@ class Outputs:
         self._publish_status(report)
 
     def publish_present(self, present: Present) -> None:
-        """Publish the motion of now."""
+        """Publish the latest twist."""
         stamp = present.task.to_ros(present.found.twist.t)
         speed = self._scale.at(stamp).speed
         with contextlib.suppress(NoTransformError):  # the next window's status will say so

@@ -257,7 +257,7 @@ class Settings:
 
     @property
     def slices(self) -> EventBudget | None:
-        """How slices of the newest events are cut for the motion of now; None if not wanted."""
+        """How slices of the newest events are cut for the latest twist; None if not wanted."""
         rate = self.node.output.twist_rate
         if rate == 0 or self.config.method != "lattice":
             return None

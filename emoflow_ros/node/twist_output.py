@@ -84,7 +84,7 @@ class TwistOutput:
         return HeldBack.NOTHING if found is whole else HeldBack.DIRECTION
 
     def publish_present(self, present: Present, speed: float | None) -> bool:
-        """Publish the motion of now, in the same way, if it is the newest.
+        """Publish the latest twist, in the same way, if it is the newest.
 
         Returns:
             Whether it is published: neither too late nor held back.

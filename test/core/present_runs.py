@@ -1,4 +1,4 @@
-"""Simulated recordings and the estimates of their windows, for the motion of now."""
+"""Simulated recordings and the estimates of their windows, for the latest twist."""
 
 from dataclasses import dataclass
 from functools import cache

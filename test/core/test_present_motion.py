@@ -1,4 +1,4 @@
-"""The motion of now on simulated recordings, whose motion is known at every instant."""
+"""The latest twist on simulated recordings, whose motion is known at every instant."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The motion of now where a gyro carries it on."""
+"""The latest twist where a gyro carries it on."""
 
 from dataclasses import dataclass, replace
 
@@ -116,7 +116,7 @@ def test_after_a_window_by_the_gyro_alone_the_gyro_tells_w_and_nothing_tells_v()
 
 
 def after_a_window_with_a_gyro(scene: str) -> tuple[PresentMotion, Window, GyroReadings]:
-    """The motion of now that knows a window, a slice after it, and that slice's readings."""
+    """The latest twist that knows a window, a slice after it, and that slice's readings."""
     its, estimate = last(scene)
     used = replace(estimate, gyro=GyroStatus(GyroState.USED))
     present = its.present()
@@ -147,7 +147,7 @@ def test_a_frozen_gyro_does_not_hold_the_motion() -> None:
 
 
 def carried_by_gyro(its: Run, estimate: Estimate, known_until: int) -> np.ndarray:
-    """Covariance of the motion of now by a gyro alone, whose readings the window knows so far."""
+    """Covariance of the latest twist by a gyro alone, whose readings the window knows so far."""
     no_flow = replace(estimate, flow=None, gyro=GyroStatus(GyroState.USED))
     gyro = with_gyro(its.slice(estimate.t_end), its, np.zeros(3)).gyro
     assert gyro is not None

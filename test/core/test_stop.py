@@ -1,4 +1,4 @@
-"""The motion of now where a turning camera stops: nothing of the turn is left."""
+"""The latest twist where a turning camera stops: nothing of the turn is left."""
 
 import numpy as np
 import pytest

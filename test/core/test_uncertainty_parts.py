@@ -37,10 +37,14 @@ def explain(v, w, excess, residual: float = 0.0) -> Explanations:
     return Explanations(v, w, np.full(len(v), residual), np.broadcast_to(excess, len(v)))
 
 
-def weigh(w, v, excess: float, turn_excess: float = NEVER, heat: float = 1.0) -> PossibleMotions:
+def weigh(
+    w, v, excess: float, turn_excess: float = NEVER, temperature: float = 1.0
+) -> PossibleMotions:
     """One other motion that travels, and a camera that only turns, by what they cost more."""
     turn = explain(np.zeros(3), np.zeros(3), turn_excess)
-    return PossibleMotions.weigh((W, V), explain(V, W, 0.0), explain(v, w, excess), turn, heat)
+    return PossibleMotions.weigh(
+        (W, V), explain(V, W, 0.0), explain(v, w, excess), turn, temperature
+    )
 
 
 def test_two_motions_that_explain_the_flow_alike_give_their_mean_and_spread():
@@ -91,7 +95,7 @@ def test_the_temperature_is_one_of_a_node_and_not_of_their_number():
 
 
 def test_costs_count_less_at_a_higher_temperature():
-    possible = weigh(np.add(W, [0.04, 0.0, 0.0]), V, 2.0, heat=2.0)
+    possible = weigh(np.add(W, [0.04, 0.0, 0.0]), V, 2.0, temperature=2.0)
     assert possible.mean[0] == pytest.approx(0.04 * np.exp(-0.5) / (1 + np.exp(-0.5)))
 
 

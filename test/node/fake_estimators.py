@@ -172,7 +172,7 @@ class NotFinite(Recorder):
 
 
 class Trackless(Recorder):
-    """Its flow cannot be followed, as the motion of now wants it."""
+    """Its flow cannot be followed, as the latest twist wants it."""
 
     def estimate(self, window: Window) -> Estimate:
         found = super().estimate(window)
@@ -187,7 +187,7 @@ class Still:
 
 
 class Exhausted(Recorder):
-    """The motion of now runs out of memory."""
+    """The latest twist runs out of memory."""
 
     def estimate(self, window: Window) -> Estimate:
         found = super().estimate(window)

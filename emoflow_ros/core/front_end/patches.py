@@ -7,14 +7,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.front_end.patch_kernels import (
-    INDEPENDENT,
-    align,
-    cornerness,
-    corners,
-    cut,
-    products,
-)
+from emoflow_ros.core.front_end.corner_kernels import cornerness, corners, products
+from emoflow_ros.core.front_end.patch_kernels import INDEPENDENT, align, cut
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import GRID_PX, Picture, Slice
 from emoflow_ros.core.lattice_kernels import bilinear
