@@ -199,7 +199,7 @@ def looked_up(camera: Camera, place: Array) -> tuple[Array, Array]:
     Quicker than `Camera.undistort`. Linear between whole pixels; NaN off the image and where the
     lens has no inverse.
     """
-    low = np.floor(place).astype(np.int64)
+    low = np.floor(np.nan_to_num(place, nan=-1.0)).astype(np.int64)
     inside = ((low >= 0) & (low < np.array(camera.size) - 1)).all(axis=1)
     low = np.where(inside[:, None], low, 0)
     x, y = (place - low).T[..., None]

@@ -40,7 +40,7 @@ class FrontEndSettings:
     slice_px: float = 4.0
     slice_share: float = 0.7
     longest_slice_s: float = 0.1
-    most_slices: int = 3
+    most_slices: int = 5
     most_events: int = 60_000
     own_sharpness: float = 0.97
     correlation: float = 0.5
@@ -49,8 +49,8 @@ class FrontEndSettings:
     reach_px: float = 7.0
     coarse_reach_px: float = 6.0
     border_px: int = 5
-    most_patches: int = 200
-    distance_px: int = 7
+    most_patches: int = 400
+    distance_px: int = 5
     edge_share: float = 0.1
     least_score: float = 0.04
     noise_px: float = 0.08
