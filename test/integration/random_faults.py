@@ -40,7 +40,7 @@ PARAMETERS = (
 _PHASE_NS = 100
 _DIED = r"the worker died \(signal 9\); it is started again"
 _REASONS = {
-    "ok": "ok",
+    "ok": "ok(, wide: start)?",  # a new worker starts cold
     "failed": _DIED,
     "dropped": rf"dropped: ({_DIED}|the estimation is slower than the events; give .*)",
 }
