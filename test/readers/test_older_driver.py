@@ -124,7 +124,7 @@ def test_older_drivers_bag_gives_its_events_and_camera(
     path = make_bag(tmp_path, kind, parts)
     if not metadata:
         if kind.startswith("ros1") or kind in ("sqlite3-message", "sqlite3-file"):
-            pytest.skip("has none, or needs it")
+            pytest.skip("a bag of this kind has no metadata.yaml, or cannot be read without it")
         (path / "metadata.yaml").unlink()
     with open_recording(path) as recording:
         assert recording.topic == TOPIC
