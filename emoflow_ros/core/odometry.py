@@ -4,6 +4,7 @@ Slices of the stream are drawn as images, patches of their first appearance are 
 later ones, and poses, velocities and depths are adjusted to their places. `step` is all of it.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +15,14 @@ from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
 from emoflow_ros.core.back_end.search import best, rotating, starts
 from emoflow_ros.core.back_end.settings import BackEndSettings
-from emoflow_ros.core.back_end.trajectory import MotionAt, carried_on, first_node, latest, motion_at
+from emoflow_ros.core.back_end.trajectory import (
+    MotionAt,
+    carried_on,
+    first_node,
+    motion_at,
+    superfluous_node,
+    without_node,
+)
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
@@ -54,7 +62,7 @@ class State:
         measured: motions of windows within the nodes.
         walks: how restless the camera is.
         costs: what a patch costs more if the camera only rotates, of the last slices.
-        adjusted: the last adjustment; None while patches are too few.
+        adjusted: of the last step; None while patches are too few.
         adjustments: how many there were.
     """
 
@@ -94,18 +102,28 @@ class Odometry:
         """A state that knows nothing."""
         return State(Walks.unknown(self.back))
 
-    def step(self, state: State, events: SliceEvents, hint: Hint) -> State:
-        """Take one slice: draw it, find the patches again, adjust, and choose new patches.
+    def step(self, state: State, slices: Iterable[tuple[SliceEvents, Hint]]) -> State:
+        """Take new slices: draw them, find the patches again, choose new ones, and adjust.
 
         Args:
             state: of the slices before.
-            events: of the slice.
-            hint: the lattice's flow and motion.
+            slices: in order of time, with the lattice's flow and motion; those of an earlier time
+                are left out.
         """
+        picture = None
+        for events, hint in slices:
+            if len(state.t) and events.t - state.t[-1] < NS_PER_MS:
+                continue
+            state, picture = self._followed(state, events, hint)
+        if picture is None:
+            return state
+        patches = choose(picture, state.patches, self.camera, self.front)
+        return self._adjusted(replace(state, patches=patches))
+
+    def _followed(self, state: State, events: SliceEvents, hint: Hint) -> tuple[State, Slice]:
+        """Draw one slice and find the patches in it."""
         if state.x is None:
             return self._begin(state, events, hint)
-        if events.t - state.t[-1] < NS_PER_MS:  # a window again, or one of an earlier time
-            return state
         seconds = (events.t - state.t[-1]) / NS_PER_S
         ahead = self._carried_on(state, hint, seconds)
         by_scene = None  # where patches should be, by what is remembered
@@ -116,20 +134,19 @@ class Odometry:
         if expected is None or not own:
             expected = _carried(ahead.patches.place, picture.flow, seconds)
         patches = follow(ahead.patches, picture, expected, self.camera, self.front)
-        patches = choose(picture, patches, self.camera, self.front)
-        state = self._window(replace(ahead, patches=patches), events.t, hint)
-        return self._adjust(state)
+        return self._window(replace(ahead, patches=patches), events.t, hint), picture
 
-    def _begin(self, state: State, events: SliceEvents, hint: Hint) -> State:
+    def _begin(self, state: State, events: SliceEvents, hint: Hint) -> tuple[State, Slice]:
         picture = draw(events, hint.flow, self.camera.size)
         velocity = self.back.start_speed * hint.direction
-        return replace(
+        state = replace(
             state,
             t=np.array([events.t]),
             x=first_node(hint.angular, velocity),
             patches=choose(picture, state.patches, self.camera, self.front),
             measured=() if hint.measured is None else (hint.measured,),
         )
+        return state, picture
 
     def _carried_on(self, state: State, hint: Hint, seconds: float) -> State:
         """Add a node; before the first adjustment with the lattice's motion."""
@@ -160,18 +177,18 @@ class Odometry:
         return by_lattice, False
 
     def _window(self, state: State, t: int, hint: Hint) -> State:
-        """Keep the latest nodes, and bring depths to the first of them that shows the patch."""
+        """Add a node's time, and forget nodes that are too many."""
         x, patches, times = state.x, state.patches, np.append(state.t, t)
         assert x is not None
-        if len(times) > self.back.slices:
-            patches = patches.without_first(depths_now(patches, x, self.back.depths, second=True))
-            x, times = latest(x, self.back.slices), times[-self.back.slices :]
+        while (node := superfluous_node(times, self.back)) is not None:
+            patches = patches.without(node, depths_now(patches, x, self.back.depths, second=True))
+            x, times = without_node(x, node), np.delete(times, node)
         measured = tuple(m for m in state.measured if m.t > times[0])
         if hint.measured is not None:
             measured = (*measured, hint.measured)
         return replace(state, t=times, x=x, patches=patches, measured=measured)
 
-    def _adjust(self, state: State) -> State:
+    def _adjusted(self, state: State) -> State:
         """Adjust motion and depths to the places of the patches; decide whether it only rotates."""
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2

@@ -89,9 +89,8 @@ class RememberingEstimator:
             memory, end = self.nothing(), window.t_start
         if found.flow is None:
             return replace(memory, end=end), found
-        state = memory.odometry
-        for events, hint in self._slices(window, end, found, found.flow):
-            state = self._odometry.step(state, events, hint)
+        slices = self._slices(window, end, found, found.flow)
+        state = self._odometry.step(memory.odometry, slices)
         motion = state.motion(found.t)
         estimate = found if motion is None else self._read(found, state, motion)
         return Memory(state, window.t_end), estimate

@@ -59,6 +59,22 @@ class Unknowns(NamedTuple):
     inverse_depth: Array
 
 
+class Equations(NamedTuple):
+    """Normal equations of nodes and depths.
+
+    Attributes:
+        matrix, right: (12 K, 12 K), its lower triangle, and (12 K,) of the nodes.
+        cross: (J, 6 K) of depths and poses.
+        own, own_right: (J,) of the depths.
+    """
+
+    matrix: Array
+    right: Array
+    cross: Array
+    own: Array
+    own_right: Array
+
+
 @_compiled
 def turned(rotation: Array, step: Array) -> Array:
     """Rotation (3, 3) times the exponential of a rotation vector (3,)."""
@@ -134,19 +150,15 @@ def likeliest_depths(o: Observations, x: Unknowns, outlier: float) -> Array:
 
 
 @_compiled
-def observe(
-    o: Observations, x: Unknowns, outlier: float,
-    matrix: Array, right: Array, cross: Array, depth_matrix: Array, depth_right: Array,
-) -> None:  # fmt: skip
+def observe(o: Observations, x: Unknowns, outlier: float, equations: Equations) -> None:
     """Add the observations to the normal equations (Geman and McClure's weights).
 
     Args:
         o, x: observations and where they are linearised.
         outlier: distance in standard deviations from which an observation counts little.
-        matrix, right: (12 K, 12 K), its lower triangle, and (12 K,) of the nodes.
-        cross: (J, 12 K) of depths and nodes.
-        depth_matrix, depth_right: (J,) of the depths.
+        equations: added to.
     """
+    matrix, right, cross, own, own_right = equations
     q, ray = np.empty(3), np.empty(3)
     rows = np.empty((2, 13))  # by node's pose, by anchor's pose, by depth
     at = np.empty((2, 3))
@@ -192,40 +204,27 @@ def observe(
             rows[a, 7] = -(c2 * bx - c0)
             rows[a, 8] = -(c0 * by - c1 * bx)
         rx, ry = weight * rx, weight * ry
-        depth_matrix[j] += rows[0, 12] ** 2 + rows[1, 12] ** 2
-        depth_right[j] -= rows[0, 12] * rx + rows[1, 12] * ry
-        for a in range(12):
-            u = NODE * k + a if a < POSE else NODE * i + a - POSE
-            ra, rb = rows[0, a], rows[1, a]
-            right[u] -= ra * rx + rb * ry
-            cross[j, u] += ra * rows[0, 12] + rb * rows[1, 12]
-            for b in range(a + 1):
-                v = NODE * k + b if b < POSE else NODE * i + b - POSE
-                matrix[max(u, v), min(u, v)] += ra * rows[0, b] + rb * rows[1, b]
+        own[j] += rows[0, 12] ** 2 + rows[1, 12] ** 2
+        own_right[j] -= rows[0, 12] * rx + rows[1, 12] * ry
+        u, v = NODE * k, NODE * i  # the anchor is an earlier node
+        for a in range(POSE):
+            ra, rb, sa, sb = rows[0, a], rows[1, a], rows[0, POSE + a], rows[1, POSE + a]
+            right[u + a] -= ra * rx + rb * ry
+            right[v + a] -= sa * rx + sb * ry
+            cross[j, POSE * k + a] += ra * rows[0, 12] + rb * rows[1, 12]
+            cross[j, POSE * i + a] += sa * rows[0, 12] + sb * rows[1, 12]
+            for b in range(POSE):
+                matrix[u + a, u + b] += ra * rows[0, b] + rb * rows[1, b]
+                matrix[u + a, v + b] += ra * rows[0, POSE + b] + rb * rows[1, POSE + b]
+                matrix[v + a, v + b] += sa * rows[0, POSE + b] + sb * rows[1, POSE + b]
     for j in range(len(o.anchor)):
         precision = 1.0 / o.depth_sd[j] ** 2
-        depth_matrix[j] += precision
-        depth_right[j] -= precision * (x.inverse_depth[j] - o.depth_mean[j])
+        own[j] += precision
+        own_right[j] -= precision * (x.inverse_depth[j] - o.depth_mean[j])
 
 
 @_compiled
-def without_depths(
-    matrix: Array, right: Array, cross: Array, depth_matrix: Array, depth_right: Array
-) -> None:
-    """Take the depths out of the normal equations, in place (Schur complement, lower triangle)."""
-    size = len(right)
-    touched = np.empty(size, np.int64)
-    for j in range(len(depth_matrix)):
-        count = 0
-        for u in range(size):
-            if cross[j, u] != 0.0:
-                touched[count] = u
-                count += 1
-        inverse = 1.0 / depth_matrix[j]
-        for a in range(count):
-            u = touched[a]
-            factor = cross[j, u] * inverse
-            right[u] -= factor * depth_right[j]
-            for b in range(a + 1):
-                v = touched[b]
-                matrix[u, v] -= factor * cross[j, v]
+def share_of_depths(equations: Equations) -> tuple[Array, Array]:
+    """What the depths take off the equations of the poses: (6 K, 6 K), (6 K,) (Schur)."""
+    scaled = equations.cross / equations.own.reshape(-1, 1)
+    return scaled.T @ equations.cross, equations.own_right @ scaled

@@ -5,14 +5,16 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment_kernels import (
     NODE,
+    POSE,
+    Equations,
     Observations,
     Unknowns,
     observation_cost,
     observe,
+    share_of_depths,
     turned,
-    without_depths,
 )
-from emoflow_ros.core.back_end.prior_kernels import Prior, motion_prior
+from emoflow_ros.core.back_end.prior_kernels import Prior, motion_prior, prior_cost
 from emoflow_ros.core.jit import njit
 
 Array = NDArray[np.float64]
@@ -51,28 +53,27 @@ def descend(
         numpy.linalg.LinAlgError: the equations are not positive definite.
     """
     travels = len(free) > _AT_ONE_PLACE * len(start.position)
-    size, patches = NODE * len(start.position), len(o.anchor)
+    poses, patches = POSE * len(start.position), len(o.anchor)
+    size = NODE * len(start.position)
     squares = np.empty(len(o.patch))
-    matrix, right = np.zeros((size, size)), np.zeros(size)
-    cross, own, own_right = np.zeros((patches, size)), np.zeros(patches), np.zeros(patches)
+    e = Equations(
+        np.empty((size, size)), np.empty(size), np.empty((patches, poses)), np.empty(patches),
+        np.empty(patches),
+    )  # fmt: skip
     x = start
     if not travels:
         x = Unknowns(
             x.rotation, np.zeros_like(x.position), x.angular, np.zeros_like(x.velocity),
             x.inverse_depth,
         )  # fmt: skip
-    now = observation_cost(o, x, outlier, squares) + motion_prior(x, prior, matrix, right, False)
-    damping = _DAMPING
+    now, damping = _cost(o, x, prior, outlier, squares), _DAMPING
     for _ in range(steps):
-        matrix[:], right[:], cross[:], own[:], own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
-        observe(o, x, outlier, matrix, right, cross, own, own_right)
-        motion_prior(x, prior, matrix, right, True)
+        share, share_right = _linearise(o, x, prior, outlier, e)
         gained = 0.0
         while damping < _MOST_DAMPING:
-            nodes, rho = _step(matrix, right, cross, own, own_right, free, damping)
+            nodes, rho = _step(e, share, share_right, free, damping)
             after = _moved(x, nodes, rho, depths, travels)
-            then = observation_cost(o, after, outlier, squares)
-            then += motion_prior(after, prior, matrix, right, False)
+            then = _cost(o, after, prior, outlier, squares)
             if then <= now:
                 gained, x, now = now - then, after, then
                 damping = max(damping / 5, _LEAST_DAMPING)
@@ -80,29 +81,56 @@ def descend(
             damping *= 5
         if gained < _LEAST_GAIN * now:
             break
-    matrix[:], right[:], cross[:], own[:], own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
-    observe(o, x, outlier, matrix, right, cross, own, own_right)
-    motion_prior(x, prior, matrix, right, True)
-    without_depths(matrix, right, cross, own, own_right)
-    now = observation_cost(o, x, outlier, squares) + motion_prior(x, prior, matrix, right, False)
-    return x, now, squares, _chosen(matrix, free)
+    share, share_right = _linearise(o, x, prior, outlier, e)
+    _take(e.matrix, e.right, share, share_right, 1.0)
+    return x, _cost(o, x, prior, outlier, squares), squares, _chosen(e.matrix, free)
+
+
+@_compiled
+def _cost(o: Observations, x: Unknowns, prior: Prior, outlier: float, squares: Array) -> float:
+    """Cost of everything; squares (O,) of the observations are written."""
+    return observation_cost(o, x, outlier, squares) + prior_cost(x, prior)
+
+
+@_compiled
+def _linearise(
+    o: Observations, x: Unknowns, prior: Prior, outlier: float, e: Equations
+) -> tuple[Array, Array]:
+    """Set the equations up, and return what the depths take off them."""
+    e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    observe(o, x, outlier, e)
+    motion_prior(x, prior, e.matrix, e.right, True)
+    return share_of_depths(e)
+
+
+@_compiled
+def _take(matrix: Array, right: Array, share: Array, share_right: Array, factor: float) -> None:
+    """Take a share of the poses (6 K, 6 K), (6 K,) off the nodes' (lower triangle)."""
+    for k in range(len(share) // POSE):
+        for a in range(POSE):
+            u, s = NODE * k + a, POSE * k + a
+            right[u] -= factor * share_right[s]
+            for i in range(k + 1):
+                for b in range(POSE):
+                    matrix[u, NODE * i + b] -= factor * share[s, POSE * i + b]
 
 
 @_compiled
 def _step(
-    matrix: Array, right: Array, cross: Array, own: Array, own_right: Array, free: Index,
-    damping: float,
-) -> tuple[Array, Array]:  # fmt: skip
+    e: Equations, share: Array, share_right: Array, free: Index, damping: float
+) -> tuple[Array, Array]:
     """Solve for a damped step of the nodes (12 K,) and of the depths (J,)."""
-    damped = own * (1 + damping)
-    reduced, reduced_right = matrix.copy(), right.copy()
-    without_depths(reduced, reduced_right, cross, damped, own_right)
+    reduced, reduced_right = e.matrix.copy(), e.right.copy()
+    _take(reduced, reduced_right, share, share_right, 1 / (1 + damping))
     small = _chosen(reduced, free)
     for a in range(len(free)):
-        small[a, a] += damping * matrix[free[a], free[a]] + _REGULAR
-    nodes = np.zeros(len(right))
+        small[a, a] += damping * e.matrix[free[a], free[a]] + _REGULAR
+    nodes = np.zeros(len(e.right))
     nodes[free] = _solved(small, reduced_right[free])
-    return nodes, (own_right - cross @ nodes) / damped
+    poses = np.empty(e.cross.shape[1])
+    for k in range(len(poses) // POSE):
+        poses[POSE * k : POSE * (k + 1)] = nodes[NODE * k : NODE * k + POSE]
+    return nodes, (e.own_right - e.cross @ poses) / (e.own * (1 + damping))
 
 
 @_compiled

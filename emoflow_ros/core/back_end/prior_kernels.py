@@ -159,3 +159,9 @@ def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: boo
                                 v = NODE * (k + j) + POSE + b
                                 matrix[u, v] += si * sj * information[a, b]
     return cost
+
+
+@_compiled
+def prior_cost(x: Unknowns, prior: Prior) -> float:
+    """Cost of the motion prior alone."""
+    return motion_prior(x, prior, np.empty((0, 0)), np.empty(0), False)

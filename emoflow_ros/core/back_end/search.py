@@ -44,8 +44,11 @@ def best(
     found = _adjusted(problem, start, prior, tight, settings)
     for x in others:
         x = x._replace(inverse_depth=likeliest_depths(problem, x, settings.outlier))
-        made = _adjusted(problem, x, prior, (settings.wide, *tight), settings)
-        if made is not None and (found is None or made.cost < found.cost):
+        made = _adjusted(problem, x, prior, settings.guess, settings)
+        if made is None or (found is not None and made.cost > settings.promising * found.cost):
+            continue
+        made = _adjusted(problem, made.x, prior, tight, settings) or made
+        if found is None or made.cost < found.cost:
             found = made
     return found
 

@@ -13,7 +13,9 @@ class BackEndSettings:
     Lengths are in mean depths of the scene, so that nothing scales with the scene.
 
     Attributes:
-        slices: nodes of the adjustment.
+        slices: nodes of the adjustment at most.
+        newest: of these are all slices; earlier ones are thinned out.
+        apart_s: that earlier ones lie apart at least, s.
         fewest_patches: with fewer there is no adjustment.
         outlier: distance in standard deviations from which a place counts little.
         angular_walk_deg, velocity_walk: random walk of angular velocity, deg/s per square root of
@@ -43,10 +45,13 @@ class BackEndSettings:
             the variance of the direction of travel: rotation and sideways travel look alike.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
         steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
-        wide: bound like `outlier` that the adjustment of a guess begins with, and steps with it.
+        guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
+        promising: cost after these over the least so far up to which a guess is adjusted further.
     """
 
-    slices: int = 12
+    slices: int = 14
+    newest: int = 5
+    apart_s: float = 0.06
     fewest_patches: int = 12
     outlier: float = 2.0
     angular_walk_deg: float = 40.0
@@ -74,7 +79,8 @@ class BackEndSettings:
     widest_direction_deg: float = 60.0
     steps: int = 8
     rotation_steps: int = 6
-    wide: tuple[float, int] = (6.0, 5)
+    guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
+    promising: float = 1.05
 
     @property
     def angular_walk(self) -> float:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, turned
+from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.estimate import Motion
 from emoflow_ros.core.events import NS_PER_S
 
@@ -49,12 +50,27 @@ def carried_on(x: Unknowns, seconds: float) -> Unknowns:
     )
 
 
-def latest(x: Unknowns, nodes: int) -> Unknowns:
-    """Keep the latest nodes."""
+def superfluous_node(times: Times, settings: BackEndSettings) -> int | None:
+    """Which node to forget: one close behind another, or else the oldest; None if none is to go.
+
+    So nodes reach far back where slices are short.
+
+    Args:
+        times: (K,) ns of the nodes.
+        settings: of the back end.
+    """
+    node = len(times) - 1 - settings.newest
+    if node > 0 and times[node] - times[node - 1] < settings.apart_s * NS_PER_S:
+        return node
+    return 0 if len(times) > settings.slices else None
+
+
+def without_node(x: Unknowns, node: int) -> Unknowns:
+    """Forget a node."""
+    kept = np.arange(len(x.position)) != node
     return Unknowns(
-        x.rotation[-nodes:], x.position[-nodes:], x.angular[-nodes:], x.velocity[-nodes:],
-        x.inverse_depth,
-    )  # fmt: skip
+        x.rotation[kept], x.position[kept], x.angular[kept], x.velocity[kept], x.inverse_depth
+    )
 
 
 def along(t: Times, angular: Array, linear: Array, inverse_depth: Array) -> Unknowns:

@@ -12,7 +12,6 @@ F64 = NDArray[np.float64]
 
 # Share of the larger information below which the smaller one may be chance: an edge.
 EDGE = 0.15
-_NEAR = 0.6  # correlation from which a template lies nearly where it fits
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
@@ -64,9 +63,10 @@ def align(
 ) -> None:  # fmt: skip
     """Shift each template to where it fits an image best: Gauss-Newton with a free gain.
 
-    Minimises sum W (g T - J(x + p))^2 over p and the gain g (Baker and Matthews, IJCV 2004), W
-    a Gaussian of 0.6 of the patch's radius. The curvature is that of the slopes which both images
-    share, as in `_judge`: noise would let a template slide along an edge.
+    Minimises sum W (g T - J(x + p))^2 over p and the gain g, W a Gaussian of 0.6 of the patch's
+    radius, along the slopes of the template (inverse compositional: Baker and Matthews, IJCV
+    2004). Where these are an edge, what lies along it may be chance: noise would let the template
+    slide.
 
     Args:
         templates: (N, side, side).
@@ -88,37 +88,23 @@ def align(
             squared = (i - radius) ** 2 + (j - radius) ** 2
             weights[i, j] = np.float32(math.exp(-squared / (2 * (0.6 * radius) ** 2)))
             total += weights[i, j]
-    now, slope_x, slope_y = np.empty((3, side, side), np.float32)
+    now, slope_x, slope_y, weighted, by_x, by_y = np.empty((6, side, side), np.float32)
     for n in range(len(templates)):
-        template = templates[n]
+        template, sign = templates[n], np.float32(signs[n])
         x, y = start[n, 0], start[n, 1]
-        squares = np.float32(1e-9)
-        for i in range(side):
-            for j in range(side):
-                squares += weights[i, j] * template[i, j] * template[i, j]
-        for _ in range(steps):
+        squares, tx, ty, p, q, r = _weighted(template, sign, weights, weighted, by_x, by_y)
+        steep, flat, shown, ux, uy = _axes(float(p), float(q), float(r), EDGE)
+        for _ in range(steps if steep > 0 else 0):
             _sample(image, x - radius, y - radius, now)
-            _sample(along_x, x - radius, y - radius, slope_x)
-            _sample(along_y, x - radius, y - radius, slope_y)
-            product, power, tx, ty, jx, jy, p, q, r, a, b, c = _moments(
-                template, now, slope_x, slope_y, weights, np.float32(signs[n])
-            )
+            product, power, jx, jy = _compared(now, weights, weighted, by_x, by_y)
             gain = min(max(product / squares, np.float32(0.05)), np.float32(20))
             e = max(power - gain * (2 * product - gain * squares), np.float32(1e-9))
             e = e / (total * np.float32(INDEPENDENT * reach * reach))
-            if product > _NEAR * math.sqrt(squares * power):
-                high, low, shown, ux, uy = _axes(
-                    float(gain * p), float(gain * q), float(gain * r), EDGE
-                )
-            else:  # too far off to share slopes
-                high, low, shown, ux, uy = _axes(float(a), float(b), float(c), 0.0)
-            if not high > 0:
-                break
-            rx, ry = gain * tx - jx, gain * ty - jy
+            rx, ry = gain * (gain * tx - jx), gain * (gain * ty - jy)
             back_x, back_y = e * (start[n, 0] - x), e * (start[n, 1] - y)
-            across = (ux * (rx + back_x) + uy * (ry + back_y)) / (high + e)
+            across = (ux * (rx + back_x) + uy * (ry + back_y)) / (gain * gain * steep + e)
             along = shown * (ux * ry - uy * rx) + ux * back_y - uy * back_x
-            along /= low + e
+            along /= gain * gain * flat + e
             dx, dy = across * ux - along * uy, across * uy + along * ux
             length = math.sqrt(dx * dx + dy * dy)
             if length > 1.5:
@@ -131,8 +117,7 @@ def align(
         _sample(along_y, x - radius, y - radius, slope_y)
         position[n, 0], position[n, 1] = x, y
         correlation[n] = _judge(
-            template, now, slope_x, slope_y, weights, total, squares, np.float32(signs[n]),
-            information[n],
+            template, now, slope_x, slope_y, weights, total, squares, sign, information[n]
         )  # fmt: skip
 
 
@@ -198,33 +183,44 @@ def _axes(p: float, q: float, r: float, chance: float) -> tuple[float, float, fl
 
 
 @_compiled
-def _moments(
-    template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, sign: np.float32
+def _weighted(
+    template: F32, sign: np.float32, weights: F32, weighted: F32, by_x: F32, by_y: F32
 ) -> tuple[np.float32, ...]:
-    """Weighted sums of T J, J J, T Jx, T Jy, J Jx, J Jy, and of slopes: xx, xy and yy of each.
-
-    First of the shared ones, the mean of T' J' over both orders, then of J' J'.
-    """
-    product = power = tx = ty = jx = jy = p = q = r = a = b = c = np.float32(0)
+    """Write W T, W T'x and W T'y of a template T; return sums of W times TT, T T', T' T'."""
+    squares, half = np.float32(1e-9), np.float32(0.5)
+    tx = ty = p = q = r = np.float32(0)
     side = template.shape[0]
-    half = np.float32(0.5)
+    by_x[:], by_y[:] = 0, 0
     for i in range(side):
         for j in range(side):
-            w, t, value = weights[i, j], sign * template[i, j], now[i, j]
-            wx, wy = w * slope_x[i, j], w * slope_y[i, j]
-            product += w * t * value
-            power += w * value * value
-            tx += wx * t
-            ty += wy * t
-            jx += wx * value
-            jy += wy * value
-            a += wx * slope_x[i, j]
-            b += wx * slope_y[i, j]
-            c += wy * slope_y[i, j]
+            w, t = weights[i, j], sign * template[i, j]
+            weighted[i, j] = w * t
+            squares += w * t * t
             if 0 < i < side - 1 and 0 < j < side - 1:
                 sx = half * sign * (template[i, j + 1] - template[i, j - 1])
                 sy = half * sign * (template[i + 1, j] - template[i - 1, j])
-                p += wx * sx
-                q += half * (wy * sx + wx * sy)
-                r += wy * sy
-    return product, power, tx, ty, jx, jy, p, q, r, a, b, c
+                by_x[i, j], by_y[i, j] = w * sx, w * sy
+                tx += w * sx * t
+                ty += w * sy * t
+                p += w * sx * sx
+                q += w * sx * sy
+                r += w * sy * sy
+    return squares, tx, ty, p, q, r
+
+
+@_compiled
+def _compared(
+    now: F32, weights: F32, weighted: F32, by_x: F32, by_y: F32
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Sums of T J, J J, T'x J and T'y J, with weights as `_weighted` writes them."""
+    product, power = np.float32(0), np.float32(1e-9)
+    jx = jy = np.float32(0)
+    side = now.shape[0]
+    for i in range(side):
+        for j in range(side):
+            value = now[i, j]
+            product += weighted[i, j] * value
+            power += weights[i, j] * value * value
+            jx += by_x[i, j] * value
+            jy += by_y[i, j] * value
+    return product, power, jx, jy

@@ -86,25 +86,29 @@ class Patches:
 
     @property
     def second(self) -> Index:
-        """The first slice after the oldest one that shows each, (N,)."""
-        return 1 + self.found[:, 1:].argmax(axis=1)
+        """The second slice that shows each, (N,); the first where none does."""
+        later = self.found.copy()
+        later[np.arange(len(self)), self.first] = False
+        return np.where(later.any(axis=1), later.argmax(axis=1), self.first)
 
     def at(self, chosen: Mask) -> "Patches":
         """Those of a mask (N,)."""
         return Patches(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
-    def without_first(self, depths: Array) -> "Patches":
-        """Forget the oldest slice, and patches that no other one shows.
+    def without(self, node: int, depths: Array) -> "Patches":
+        """Forget a slice, and patches that no other one shows.
 
         Args:
-            depths: (N,) inverse depths at the next slice that shows them.
+            node: which of the K slices.
+            depths: (N,) inverse depths at the second slice that shows each.
         """
-        moved = self.found[:, 0]
+        moved = self.first == node
+        others = np.arange(self.found.shape[1]) != node
         kept = replace(
             self,
-            seen=self.seen[:, 1:],
-            root=self.root[:, 1:],
-            found=self.found[:, 1:],
+            seen=self.seen[:, others],
+            root=self.root[:, others],
+            found=self.found[:, others],
             inverse_depth=np.where(moved, depths, self.inverse_depth),
         )
         return kept.at(kept.found.any(axis=1))

@@ -40,7 +40,7 @@ class FrontEndSettings:
     slice_px: float = 4.0
     slice_share: float = 0.7
     longest_slice_s: float = 0.1
-    most_slices: int = 5
+    most_slices: int = 2
     most_events: int = 60_000
     own_sharpness: float = 0.97
     correlation: float = 0.5

@@ -1,5 +1,7 @@
 """Patches: how exactly they are found again, and what is known of their places."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
@@ -129,10 +131,23 @@ def test_the_oldest_slice_is_forgotten_with_what_only_it_shows():
     patches = first(image)
     found = follow(patches, slice_of(moved(image, 1, 0), 10**7), patches.place, CAMERA, SETTINGS)
     lost = ~found.shown
-    kept = found.without_first(np.full(len(found), 0.7))
+    kept = found.without(0, np.full(len(found), 0.7))
     assert len(kept) == len(found) - lost.sum()
     assert kept.found.shape[1] == 1
     assert (kept.inverse_depth == 0.7).all()
+
+
+def test_a_slice_between_others_is_forgotten_without_moving_depths():
+    image = texture()
+    patches = first(image)
+    for k in (1, 2):
+        later = slice_of(moved(image, k, 0), k * 10**7)
+        patches = follow(patches, later, patches.place, CAMERA, SETTINGS)
+    patches = replace(patches, inverse_depth=np.full(len(patches), 0.4))
+    kept = patches.without(1, np.full(len(patches), 0.7))
+    assert len(kept) == len(patches)
+    assert (kept.inverse_depth == 0.4).all()
+    assert (kept.seen == patches.seen[:, [0, 2]]).all()
 
 
 @pytest.mark.parametrize("missing", [1, 3, 4])
