@@ -29,6 +29,7 @@ _ESTIMATORS: dict[str, type[LatticeConfig | ImplicitConfig]] = {
 _REMOVED = {
     "estimator.max_doubt": "nothing is withheld any more, the covariance says how sure a twist is; "
     "output.max_angular_sd and output.max_direction_sd hold back what is wider",
+    "estimator.memory": "positions are always remembered, with estimator.model auto",
 }
 
 _INSTALL_TORCH = "install it (pip install torch torchdiffeq)"
@@ -52,7 +53,7 @@ class Config:
     def event_budget(self) -> EventBudget:
         """How many events of a window are used at all."""
         most = self.estimator.max_events
-        if isinstance(self.estimator, LatticeConfig) and self.estimator.memory:
+        if isinstance(self.estimator, LatticeConfig) and self.estimator.remembers:
             most = max(most, self.estimator.tracked_events)
         return EventBudget(self.window, most)
 

@@ -26,7 +26,7 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
         if config.window.max_displacement_px > 0:
             from emoflow_ros.core.motion_windows import MotionWindows
 
-            estimator = MotionWindows(estimator, camera, config.window, None)
+            estimator = MotionWindows(estimator, camera, config.window)
     return BoundedWindows(estimator, config.event_budget)
 
 
@@ -34,16 +34,13 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.lattice_estimator import LatticeEstimator
     from emoflow_ros.core.motion_windows import MotionWindows
     from emoflow_ros.core.preparation import CleanWindows
-    from emoflow_ros.core.second_look import QuickLook
+    from emoflow_ros.core.remembering import RememberingEstimator
     from emoflow_ros.core.stream import ContinuousEstimator
 
     estimator: Estimator = LatticeEstimator(camera, lattice, config.imu)
     if config.window.max_displacement_px > 0:
-        look = QuickLook(camera, lattice).flow
-        estimator = MotionWindows(estimator, camera, config.window, look)
-    if lattice.memory:
-        from emoflow_ros.core.remembering import RememberingEstimator
-
+        estimator = MotionWindows(estimator, camera, config.window)
+    if lattice.remembers:
         estimator = RememberingEstimator(estimator, camera)
     estimator = ContinuousEstimator(estimator, camera, lattice)
     return CleanWindows(estimator, camera)

@@ -69,7 +69,7 @@ def test_the_method_decides_which_options_there_are():
         load_config(overrides={"estimator.field.layers": 3})
 
 
-@pytest.mark.parametrize("profile", ["realtime", "rigid", "memory"])
+@pytest.mark.parametrize("profile", ["realtime", "rigid"])
 def test_only_the_published_method_has_a_device(profile):
     assert load_config("paper", {"estimator.device": "cuda"}).device == "cuda"
     assert load_config(profile).device == "cpu"
@@ -132,7 +132,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
 
 def test_unknown_profiles_name_the_known_ones():
-    known = r"unknown profile 'fast'; use one of memory, paper, .*realtime"
+    known = r"unknown profile 'fast'; use one of paper, .*realtime"
     with pytest.raises(InputError, match=known):
         load_config("fast")
 

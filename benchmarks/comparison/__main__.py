@@ -45,12 +45,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.comparison",
         description=__doc__,
-        epilog="example: python -m benchmarks.comparison ~/mvsec --profiles realtime memory",
+        epilog="example: python -m benchmarks.comparison ~/mvsec --profiles realtime rigid",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("folder", type=Path, metavar="FOLDER", help="of downloaded files, or a snippet")
-    add("--profiles", nargs="+", default=["realtime", "memory"], metavar="PROFILE",
+    add("--profiles", nargs="+", default=["realtime"], metavar="PROFILE",
         help="default: realtime memory")  # fmt: skip
     add("--set", action="append", default=[], metavar="NAME=VALUE", dest="overrides",
         help="an option of all profiles by its dotted name, for example estimator.model=full; "

@@ -105,10 +105,6 @@ class Quality:
         warm: whether the previous window's result was the start.
         change_px: how far the first or the last third of the window moves off the fit, in px of
             the working image: what the fit's model of time leaves out. NaN where not known.
-        second_look_px: how far a fresh fit of the flow, by the events alone, lies from this one, in
-            px of the working image (core.second_look). NaN where not known.
-        earlier_px: how far the flow by an earlier window's scene lies from this one, in px of the
-            working image (core.earlier_scene). NaN where not known.
     """
 
     events: int
@@ -120,8 +116,6 @@ class Quality:
     runtime_s: float = 0.0
     warm: bool = False
     change_px: float = float("nan")
-    second_look_px: float = float("nan")
-    earlier_px: float = float("nan")
 
 
 def _unknown_covariance() -> NDArray[np.float64]:

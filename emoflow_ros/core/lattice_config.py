@@ -3,16 +3,11 @@
 from dataclasses import dataclass
 
 from emoflow_ros.core.options import option
-from emoflow_ros.errors import InputError
 
 
 @dataclass(frozen=True)
 class LatticeConfig:
-    """How the lattice estimator fits a window; docs/method.md explains each option.
-
-    Raises:
-        InputError: a memory of positions with a fixed motion model.
-    """
+    """How the lattice estimator fits a window; docs/method.md explains each option."""
 
     max_events: int = option(
         30_000, "events used per window, spread evenly over it", minimum=1000, maximum=10_000_000
@@ -96,20 +91,15 @@ class LatticeConfig:
         minimum=1.0,
         maximum=10.0,
     )
-    memory: bool = option(
-        False,
-        "adjust the motion to patches of edges that are found again over half a second "
-        "(core.odometry); needs estimator.model auto",
-    )
     tracked_events: int = option(
         120_000,
-        "the same as max_events for the memory",
+        "the same as max_events for the memory of positions (core.odometry); it takes part where "
+        "estimator.model is auto",
         minimum=1000,
         maximum=10_000_000,
     )
 
-    def __post_init__(self) -> None:
-        if self.memory and self.model != "auto":
-            raise InputError(
-                "estimator.memory", f"does not go with estimator.model {self.model}", "use auto"
-            )
+    @property
+    def remembers(self) -> bool:
+        """Whether positions are remembered: only where the motion model is not fixed."""
+        return self.model == "auto"

@@ -12,10 +12,10 @@ from emoflow_ros.core.belief import KnownRotation, MotionPrior
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.confinement import is_confined
 from emoflow_ros.core.contrast import contrast_gain
-from emoflow_ros.core.cross_check import CrossCheck
 from emoflow_ros.core.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
+from emoflow_ros.core.flow_starts import best_start, cold_start, fresh_start, is_lost
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
@@ -26,10 +26,8 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
-from emoflow_ros.core.second_look import best_start, cold_start, is_lost
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.tremor import Tremor
-from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions, temperature
+from emoflow_ros.core.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.window_events import WindowEvents
 
 Array = NDArray[np.float64]
@@ -63,9 +61,7 @@ class LatticeEstimator:
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config)
         self._change = MotionChange(self._fit.contrasts[0.25])
-        self._check = CrossCheck(self.lattice, self._epipolar, config)
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
-        self._tremor = Tremor(self._image, self._epipolar, self._fit.contrasts)
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
@@ -73,11 +69,6 @@ class LatticeEstimator:
 
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
-        self._check.forget()
-        self._start_anew()
-
-    def _start_anew(self) -> None:
-        """Forget the last window as a start, though not what the scene was."""
         self._last: Memory | None = None
         self._reader.forget()
         self._selector = ModelSelector()
@@ -101,7 +92,6 @@ class LatticeEstimator:
             fit.known = KnownRotation.measured(measurement, window.duration)
         warm = last is not None and last.reaches(window)
         coarse = fit.contrasts[0.25]
-        self._check.begin(window, events)
         stop: str | None
         try:
             if warm and last is not None:
@@ -112,28 +102,25 @@ class LatticeEstimator:
                 fit.flow = best_start(coarse, events, flows)
                 stop = self._fit_warm(events, last.predict(fit, window))
                 # After the deadline there is no time for a cold fit, even if the flow is lost.
-                warm = self._late() or not is_lost(coarse, events, fit.flow, self._check.fresh())
+                warm = self._late() or not is_lost(
+                    coarse, events, fit.flow, fresh_start(coarse, events, self.lattice.shape)
+                )
             if not warm:
-                self._start_anew()
+                self.reset()
                 stop = self._fit_cold(events)
             gain = self._gain(events)
             if stop is None or self._shows_no_motion(events, gain):
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            apart = self._check.disagreement(window, events, fit.flow)
             quality = self._quality(
                 len(events), stop, gain, warm=warm,
                 change_px=self._change.measure(events, fit.flow),
-                second_look_px=apart.second_look_px, earlier_px=apart.earlier_px,
             )  # fmt: skip
-            result = self._result(window, quality, apart)
+            result = self._result(window, quality)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
-        self._check.keep(result, fit.flow)
-        if measurement is not None or fit.straight or self._late():
-            return result
-        return self._tremor.add_to(result, events, fit.flow)
+        return result
 
     def _fit_cold(self, events: WindowEvents) -> str | None:
         """Search a constant flow, refine it, then add the egomotion; None if nothing moves."""
@@ -272,13 +259,13 @@ class LatticeEstimator:
             self.lattice, fit.contrasts[1.0], events, fit.flow, evidence
         )
 
-    def _result(self, window: Window, quality: Quality, apart: Disagreement) -> Estimate:
+    def _result(self, window: Window, quality: Quality) -> Estimate:
         """Remember the window that was fitted, and report it."""
         fit, model = self._fit, self._selector.model
-        belief = self._reader.believe(window, self._free, model, apart)
+        belief = self._reader.believe(window, self._free, model)
         self._last = Memory.of(window, fit, None if model is MotionModel.ROTATION else belief)
         if window.gyro is not None:
-            w, covariance = self._reader.rotation_of_events(self._free, model, apart)
+            w, covariance = self._reader.rotation_of_events(self._free, model)
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
         return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
 
@@ -289,7 +276,7 @@ class LatticeEstimator:
         self, window: Window, used: int, status: Status, gain: float = float("nan")
     ) -> Estimate:
         """Report a window without a confident estimate; the next one starts cold."""
-        self._start_anew()
+        self.reset()
         if status is not Status.DIVERGED:
             self._gyro.learn_at_rest()
         quality = self._quality(used, str(status), gain)

@@ -4,8 +4,6 @@ A part also has to be short enough for the fit to follow the changes of the moti
 `MotionChange` measures.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,9 +27,6 @@ _LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns 
 # move. But it may also be too fast for whole windows.
 _SHARES = (1.0, 0.25, 1.0, 0.06)
 _CHANGE_PX = 2.0  # largest displacement off the fit within a part, px of the working image
-# A part with more than 1.25 times the events that its motion allows is shortened, by half at most.
-_TOO_LONG = 1.25
-_SHORTER = 0.5
 
 _THIRD = 1 / 3  # share of a window
 _FEW_EVENTS = 300  # number of events in a third; fewer tell nothing
@@ -52,30 +47,18 @@ class MotionWindows:
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its
     quality) shortens the next one in the same way.
 
-    While no motion is known, a quick look tells how long the part may be, from long to short: long
-    parts of slow motion tell much more than short ones. The first look is at the whole window, and
-    so it is after a failure; if failures go on, at a quarter or 6 % of the events in every second
-    window. Where the motion asks for a shorter part, that one is looked at, until a part fits its
-    own motion, or shows none.
+    While no motion is known, whole windows are tried, for long parts of slow motion tell much more
+    than short ones; if failures go on, a quarter or 6 % of the events in every second window.
 
     Args:
         estimator: of the parts.
         camera: whose pixels are displaced.
         policy: max_displacement_px, in pixels of the working image, and min_count.
-        look: finds the flow of a window quickly, None where no flow shows; if there is no such way,
-            first parts are not shortened.
     """
 
-    def __init__(
-        self,
-        estimator: Estimator,
-        camera: Camera,
-        policy: WindowPolicy,
-        look: Callable[[Window], FlowSampler | None] | None,
-    ) -> None:
+    def __init__(self, estimator: Estimator, camera: Camera, policy: WindowPolicy) -> None:
         self._estimator = estimator
         self._policy = policy
-        self._look = look
         self._longest_px = policy.max_displacement_px * reduction(camera)
         columns = np.arange(_GRID_PX // 2, camera.width, _GRID_PX)
         rows = np.arange(_GRID_PX // 2, camera.height, _GRID_PX)
@@ -112,23 +95,9 @@ class MotionWindows:
         return estimate
 
     def _first_part(self, window: Window) -> Window:
-        """Choose a part while no motion is known: one that is as short as its motion asks for."""
+        """Choose a part while no motion is known."""
         share = _SHARES[max(0, self._failures - 1) % len(_SHARES)]
-        part = shorter = window.since(self._choose_start(window, round(share * window.events.came)))
-        if self._look is None:
-            return part
-        flow = self._look(part)
-        while flow is not None:
-            part = shorter
-            count = self._next_count(flow, 0.0, part)
-            if part.events.came <= _TOO_LONG * count:
-                break
-            count = max(count, round(_SHORTER * part.events.came))
-            shorter = window.since(self._choose_start(window, count))
-            if shorter.t_start == part.t_start:
-                break
-            flow = self._look(shorter)
-        return part
+        return window.since(self._choose_start(window, round(share * window.events.came)))
 
     def _choose_start(self, window: Window, count: int) -> int:
         """Go back by the number of events, to the window's or the last estimate's start at most."""

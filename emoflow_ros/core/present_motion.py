@@ -2,7 +2,7 @@
 
 A window's estimate holds at its middle, and comes after its last event by the time that it takes to
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
-makes of it: that is six numbers (core.earlier_scene), for which a short slice of events is enough.
+makes of it: that is six numbers (core.known_scene), for which a short slice of events is enough.
 The contrast of the slice's events and the window's estimate decide on w and v together. The
 estimate is carried on by the window's own change of w and a random walk, or by a gyro. How fast the
 image moves by the newest events bounds it (core.gauge): a camera that stops is at rest at once.
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.contrast import Contrast
-from emoflow_ros.core.earlier_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.egomotion import NodeEpipolar
 from emoflow_ros.core.estimate import (
     Estimate,
@@ -29,6 +28,7 @@ from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gauge import REST_PX_S
 from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_prior import Known

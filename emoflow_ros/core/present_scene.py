@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.earlier_scene import KnownScene
 from emoflow_ros.core.estimate import SpeedBound
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.core.gyro_measurement import GyroReadings, Shape, fit_shape
+from emoflow_ros.core.known_scene import KnownScene
 
 Array = NDArray[np.float64]
 

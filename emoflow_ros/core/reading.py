@@ -17,7 +17,7 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.uncertainty import Claims, Disagreement, PossibleMotions, without_travel
+from emoflow_ros.core.uncertainty import PossibleMotions, without_travel
 
 Array = NDArray[np.float64]
 
@@ -47,18 +47,14 @@ class EstimateReader:
     def forget(self) -> None:
         """Forget the windows so far."""
         self.possible = PossibleMotions()
-        self._claims = Claims()
 
-    def believe(
-        self, window: Window, free: FreeFlow, model: MotionModel, apart: Disagreement
-    ) -> Belief:
+    def believe(self, window: Window, free: FreeFlow, model: MotionModel) -> Belief:
         """Tell the motion in the middle of a window that has been fitted, and its covariance.
 
         Args:
             window: its interval.
             free: the flow as the events alone see it.
             model: of the motion.
-            apart: how far other explanations lie from the fit.
         """
         fit = self._fit
         assert fit.motion is not None
@@ -75,7 +71,7 @@ class EstimateReader:
         parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
         known = None if free.known is None else free.known[1]
         covariance = possible.covariance(
-            apart, w, parallax, self._epipolar.px_per_rad, known, sized=known is None
+            parallax, self._epipolar.px_per_rad, known, sized=known is None
         )
         unit = np.repeat([window.duration, 1.0], 3)
         if fit.known is not None:
@@ -101,8 +97,7 @@ class EstimateReader:
         model = selector.model
         travels = model is not MotionModel.ROTATION
         front = np.copysign(1.0, selector.agreement) if travels else 0.0
-        claimed = self._claims.claim(front * belief.v, self.possible)
-        if self._config.model == "auto" and not claimed:
+        if self._config.model == "auto" and not self.possible.agree:
             model, front = MotionModel.ROTATION, 0.0
         covariance = belief.facing(front or 1.0).across()
         if model is MotionModel.ROTATION:
@@ -131,15 +126,12 @@ class EstimateReader:
             gyro,
         )
 
-    def rotation_of_events(
-        self, free: FreeFlow, model: MotionModel, apart: Disagreement
-    ) -> tuple[Array, Array]:
+    def rotation_of_events(self, free: FreeFlow, model: MotionModel) -> tuple[Array, Array]:
         """Tell the angular velocity without the gyro, for the gyro to learn from.
 
         Args:
             free: the flow as the events alone see it.
             model: of the motion.
-            apart: how far other explanations lie from the fit.
 
         Returns:
             w (3,) in the middle of the window and its covariance (3, 3), rad per window.
@@ -155,8 +147,7 @@ class EstimateReader:
             others = epipolar.search(*free.seen, sized=False)
             w = here.w[0]
             possible = PossibleMotions.weigh((w, v), here, others, turn)
-        apart = replace(apart, w=None)  # that one may have come from the gyro
-        covariance = possible.covariance(apart, w, 1.0, epipolar.px_per_rad, sized=False)[:3, :3]
+        covariance = possible.covariance(1.0, epipolar.px_per_rad, sized=False)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend
         return w + possible.mean[:3] + bend, covariance
 

@@ -7,10 +7,8 @@ residuals, the one that has to turn and to travel less is likelier. How likely a
 exponentially with its cost. The estimate is the mean over them, and their spread is a part of its
 covariance.
 
-The second part is the error of the flow that the residuals do not show. Two other explanations of
-the window show how large it is: a fresh fit of the flow (core.second_look) and the scene of an
-earlier window (core.earlier_scene). The third part is an angle of v that no flow takes away. The
-weights of the parts are measured values.
+The second part is the error of the flow that the residuals do not show, the third an angle of v
+that no flow takes away. The weights of the parts are measured values.
 """
 
 from dataclasses import dataclass, field
@@ -26,23 +24,14 @@ _LASTING_PX2 = 0.4
 _USUAL_MISFIT = 0.13  # least residual cost over what _LASTING_PX2 explains, median over windows
 _LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the usual one
 
-# The weights were chosen on simulated recordings: those of w in docs/method.md, those of v in
-# docs/experiments.md, "Covariance of v".
-_OF_W, _OF_V = 0.35, 0.15  # shares of the distance of the second fit that are w's and v's errors
-# With an earlier scene: share of the same distance that is w's error, and share of the squared
-# difference of the two values of w that is the variance.
-_OF_W_TOO, _OF_EARLIER = 0.15, 0.05
-# Bounds of that distance, px per window. One distance is a sample and may be small by chance.
-_LEAST_PX, _MOST_PX = 0.3, 4.0
+# Error of the flow that the residuals do not show, as it comes into w and v, px per window.
+_OF_W_PX, _OF_V_PX = 0.21, 0.09
 _LEAST_PARALLAX_PX = 0.1
 # Variance of v over that of the possible motions: where motions of less flow are likelier and the
 # costs have a temperature, and where neither is so.
 _OF_SIZED, _OF_UNSIZED = 0.85, 1.5
 _LEAST_ANGLE = 0.02  # standard deviation of v that no flow takes away, rad: no calibration is exact
-_CLAIMED = 0.3  # spread of the possible directions of travel from which none is claimed, rad
-_LASTING = 2  # number of windows before this one that are compared
-_CONFIRMING = 1  # number of these that must have told the same direction, and none another one
-_SAME = np.cos(np.radians(40.0))  # cosine of the largest angle between two same directions
+_AGREE = 0.3  # spread of the possible directions of travel up to which they agree, rad
 
 
 def trusted(information: Array) -> Array:
@@ -112,21 +101,6 @@ def temperature(
 
 
 @dataclass(frozen=True)
-class Disagreement:
-    """How far other explanations of a window lie from its estimate.
-
-    Attributes:
-        second_look_px: distance to a fresh fit of the flow, px per window.
-        earlier_px: distance to the flow by an earlier scene, px per window; NaN without one.
-        w: (3,) angular velocity by that scene, rad per window; None without one.
-    """
-
-    second_look_px: float
-    earlier_px: float = float("nan")
-    w: Array | None = None
-
-
-@dataclass(frozen=True)
 class PossibleMotions:
     """The motions that may explain a flow, as a mean and a spread.
 
@@ -169,33 +143,25 @@ class PossibleMotions:
         mean = weight @ apart
         return cls(mean, (weight[:, None] * apart).T @ apart - np.outer(mean, mean))
 
+    @property
+    def agree(self) -> bool:
+        """Whether the possible motions agree on a direction of travel."""
+        return float(np.trace(self.spread[3:, 3:])) < _AGREE**2
+
     def covariance(
-        self,
-        apart: Disagreement,
-        w: Array,
-        parallax_px: float,
-        px_per_rad: float,
-        known: Array | None = None,
-        *,
-        sized: bool,
+        self, parallax_px: float, px_per_rad: float, known: Array | None = None, *, sized: bool
     ) -> Array:
         """Covariance (6, 6) of (w, v), w in rad per window.
 
         Args:
-            apart: how far other explanations lie from the estimate.
-            w: (3,) the estimate, rad per window.
             parallax_px: size of the flow without the rotation's part, px per window: the shorter,
                 the more an error of the flow turns v.
             px_per_rad: focal length.
             known: (3, 3) information on w from elsewhere.
             sized: whether motions of less flow were likelier, and the costs had a temperature.
         """
-        look = float(np.clip(apart.second_look_px, _LEAST_PX, _MOST_PX))
-        share = _OF_W if apart.w is None else _OF_W_TOO
-        of_w = (share * look / px_per_rad) ** 2
-        if apart.w is not None:
-            of_w += _OF_EARLIER * float(((w - apart.w) ** 2).sum()) / 3
-        of_v = (_OF_V * look / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2 + _LEAST_ANGLE**2
+        of_w = (_OF_W_PX / px_per_rad) ** 2
+        of_v = (_OF_V_PX / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2 + _LEAST_ANGLE**2
         scale = np.repeat([1.0, np.sqrt(_OF_SIZED if sized else _OF_UNSIZED)], 3)
         covariance = np.outer(scale, scale) * self.spread + np.diag(np.repeat([of_w, of_v], 3))
         if known is None:
@@ -203,30 +169,6 @@ class PossibleMotions:
         information = np.linalg.inv(covariance)
         information[:3, :3] += known
         return np.linalg.inv(information)
-
-
-class Claims:
-    """Decides window by window whether a direction of travel can be claimed."""
-
-    def __init__(self) -> None:
-        self._told: list[Array] = []
-
-    def claim(self, v: Array, possible: PossibleMotions) -> bool:
-        """Tell whether a direction can be claimed. Call it once per window.
-
-        The motions that are possible have to agree on it. One of the last two windows must have
-        told the same direction, and none another one: a direction that a few events suggest does
-        not last.
-
-        Args:
-            v: (3,) unit, with its sign.
-            possible: motions in this window.
-        """
-        agree = float(np.trace(possible.spread[3:, 3:])) < _CLAIMED**2
-        told = v if agree else np.zeros(3)
-        earlier = [told @ before for before in self._told if before.any()]
-        self._told = [*self._told, told][-_LASTING:]
-        return agree and len(earlier) >= _CONFIRMING and bool(min(earlier) > _SAME)
 
 
 def without_travel(covariance: Array) -> Array:

@@ -6,7 +6,6 @@ from emoflow_ros.core.estimate import Estimate, Status
 
 # Standard deviations along any axis up to which nothing needs a word.
 _NARROW_W, _NARROW_V = np.radians(5.0), np.radians(15.0)
-_FRESH_PX = 2.0  # distance of a fresh fit of the flow from which the flow may be another one
 _FEW_EVENTS = 5_000
 _LOW_GAIN = 1.3
 
@@ -16,9 +15,8 @@ def why_wide(estimate: Estimate) -> str:
 
     Returns:
         What kept a motion from being measured (a Status or `brightness`), or of a measured one
-        `start`: no window before it helps; `flow`: a fresh fit finds another flow; `events`: they
-        are few; `motion`: it sharpens the events little; else `ambiguous`: a turn and a travel
-        explain the flow alike.
+        `start`: no window before it helps; `events`: they are few; `motion`: it sharpens the
+        events little; else `ambiguous`: a turn and a travel explain the flow alike.
     """
     if estimate.status in (Status.CARRIED, Status.BOUNDED, Status.LOST):
         return estimate.quality.stop_reason
@@ -27,8 +25,6 @@ def why_wide(estimate: Estimate) -> str:
     quality = estimate.quality
     if not quality.warm:
         return "start"
-    if quality.second_look_px > _FRESH_PX:
-        return "flow"
     if quality.events < _FEW_EVENTS:
         return "events"
     return "motion" if quality.contrast_gain < _LOW_GAIN else "ambiguous"

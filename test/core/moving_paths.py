@@ -54,15 +54,10 @@ class ExactEstimator:
     def __init__(self, path: Path, fails=lambda k: False, gyro: bool = False) -> None:
         self._path, self._fails, self._gyro = path, fails, gyro
         self.windows: list[Window] = []
-        self.looks: list[Window] = []
         self.resets = 0
 
     def reset(self) -> None:
         self.resets += 1
-
-    def look(self, window: Window) -> "ExactFlow":
-        self.looks.append(window)
-        return ExactFlow(self._path)
 
     def estimate(self, window: Window) -> Estimate:
         fails = self._fails(len(self.windows))

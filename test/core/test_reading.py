@@ -12,7 +12,7 @@ from emoflow_ros.core.lattice import Lattice
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.reading import EstimateReader
-from emoflow_ros.core.uncertainty import Disagreement, PossibleMotions
+from emoflow_ros.core.uncertainty import PossibleMotions
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
 V = np.array([0.8, 0.0, 0.6])
@@ -41,7 +41,7 @@ def spread_counts(reader: EstimateReader, known) -> float:
     free = FreeFlow(np.zeros((0, 2)), np.zeros((0, 2, 2)), known)
 
     def variance() -> float:
-        found = reader.believe(WINDOW, free, MotionModel.FULL, Disagreement(1.0))
+        found = reader.believe(WINDOW, free, MotionModel.FULL)
         return float(ACROSS @ found.covariance[3:, 3:] @ ACROSS)
 
     reader.possible = PossibleMotions()

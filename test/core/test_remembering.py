@@ -8,11 +8,10 @@ import pytest
 from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.events import NS_PER_MS, Events, Window, WindowSlicer
-from emoflow_ros.errors import InputError
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
-CONFIG = load_config("memory")
+CONFIG = load_config("realtime")
 SETTLED = 4  # windows: the first 0.4 s
 
 
@@ -127,11 +126,6 @@ def test_after_a_gap_the_memory_begins_anew(calm: Run):
     errors = [calm.error(replace(e, t=e.t - 2_000_000_000)) for e in after if e.status is Status.OK]
     assert len(errors) >= 4
     assert np.median(errors) < 2.0
-
-
-def test_a_fixed_motion_model_is_refused():
-    with pytest.raises(InputError, match=r"does not go with estimator\.model rotation"):
-        load_config("memory", {"estimator.model": "rotation"})
 
 
 def noise(count: int, t0: int, t1: int, size: tuple[int, int]) -> Events:

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.uncertainty import (
-    Claims,
-    Disagreement,
     Explanations,
     PossibleMotions,
     temperature,
@@ -19,11 +17,8 @@ FOCAL_PX = 226.0
 NEVER = 1e9  # more cost than any flow has
 
 
-def covariance_of(
-    possible, distance_px=1.0, *, w=None, known=None, sized=True, parallax_px=5.0
-) -> np.ndarray:
-    apart = Disagreement(distance_px, 1.0, w)
-    return possible.covariance(apart, W, parallax_px, FOCAL_PX, known, sized=sized)
+def covariance_of(possible, *, known=None, sized=True, parallax_px=5.0) -> np.ndarray:
+    return possible.covariance(parallax_px, FOCAL_PX, known, sized=sized)
 
 
 def turned(angle: float) -> np.ndarray:
@@ -104,29 +99,21 @@ def test_a_cost_far_below_the_present_one_is_no_overflow():
     np.testing.assert_allclose(possible.mean[:3], -W)
 
 
-def sigmas(*arguments, **options) -> tuple[float, float]:
+def sigmas(parallax_px: float) -> tuple[float, float]:
     """Standard deviations of w and of v, which are alike in all directions."""
-    covariance = covariance_of(PossibleMotions(), *arguments, **options)
+    covariance = covariance_of(PossibleMotions(), parallax_px=parallax_px)
     of_w, of_v = covariance[0, 0], covariance[3, 3]
     np.testing.assert_allclose(covariance, np.diag(np.repeat([of_w, of_v], 3)))
     return float(np.sqrt(of_w)), float(np.sqrt(of_v))
 
 
-def test_without_other_motions_the_distance_of_the_second_fit_is_the_error():
+def test_without_other_motions_an_error_of_the_flow_stays():
     """That of v is the larger the shorter the parallax, and the rest of it no flow takes away."""
-    (near_w, near_v), (far_w, far_v) = sigmas(1.0), sigmas(2.0)
-    assert far_w == pytest.approx(2 * near_w)
-    assert 0 < near_w < 1.0 / FOCAL_PX
-    _, least = sigmas(1.0, parallax_px=1e6)
-    assert far_v**2 - least**2 == pytest.approx(4 * (near_v**2 - least**2))
-    assert sigmas(2.0, parallax_px=10.0) == pytest.approx((far_w, near_v))
+    (of_w, near), (same, far), (_, least) = (sigmas(px) for px in (2.0, 1.0, 1e6))
+    assert 0 < of_w == same < 0.5 / FOCAL_PX
+    assert far**2 - least**2 == pytest.approx(4 * (near**2 - least**2))
     assert 0 < least < np.radians(2.0)
-    assert sigmas(2.0, parallax_px=1e6)[1] == pytest.approx(least)
-
-
-def test_the_distance_is_bounded_on_both_sides():
-    assert 0 < sigmas(0.0)[0] == sigmas(0.01)[0] < sigmas(1.0)[0]
-    assert sigmas(50.0)[0] == sigmas(500.0)[0] > sigmas(1.0)[0]
+    assert sigmas(0.0) == sigmas(0.01)  # bounded
 
 
 def test_the_spread_adds_to_the_error():
@@ -143,17 +130,6 @@ def test_the_spread_adds_to_the_error():
     assert 0 < counts[0] < counts[1]
 
 
-def test_with_an_earlier_scene_its_difference_adds_and_the_second_fit_counts_less():
-    apart = np.array([0.03, 0.0, -0.04])
-    (agreeing, of_v), *differing = (sigmas(2.0, w=W + k * apart) for k in (0, 1, 2))
-    alone = sigmas(2.0)
-    assert 0 < agreeing < alone[0]
-    assert of_v == alone[1] == differing[0][1]
-    added = [found[0] ** 2 - agreeing**2 for found in differing]
-    assert 0 < added[0] < np.linalg.norm(apart) ** 2
-    assert added[1] == pytest.approx(4 * added[0])
-
-
 def test_what_is_known_of_w_lessens_its_covariance_and_that_of_v_with_it():
     possible = weigh(np.add(W, [0.0, 0.04, 0.0]), turned(0.4), 0.0)
     known = np.eye(3) / 0.001**2
@@ -164,28 +140,12 @@ def test_what_is_known_of_w_lessens_its_covariance_and_that_of_v_with_it():
     np.testing.assert_allclose(np.linalg.inv(tied)[3:, 3:], np.linalg.inv(free)[3:, 3:])
 
 
-@pytest.mark.parametrize(("angle", "excess", "claims"), [
+@pytest.mark.parametrize(("angle", "excess", "agree"), [
     (0.5, 0.0, True), (0.7, 0.0, False), (1.2, 0.0, False), (1.2, 20.0, True), (1.2, 4.0, False),
 ])  # fmt: skip
-def test_a_direction_is_claimed_unless_another_one_far_off_is_possible(angle, excess, claims):
+def test_motions_agree_unless_another_one_far_off_is_possible(angle, excess, agree):
     """Of two directions as likely each is off by half of the angle between them."""
-    possible, judge = weigh(W, turned(angle), excess), Claims()
-    assert [judge.claim(V, possible) for _ in range(4)][-1] is claims
-
-
-def test_a_direction_is_claimed_once_one_of_the_last_two_windows_has_told_the_same():
-    """Signs count, 40 degrees may lie between, and none of the two may have told another one."""
-    claims = Claims()
-    directions = [V, V, turned(0.6), V, turned(-0.6), V, V, V, V, -V]
-    expected = [False, True, True, True, False, True, True, True, True, False]
-    assert [claims.claim(v, PossibleMotions()) for v in directions] == expected
-
-
-def test_a_window_of_doubt_tells_no_direction():
-    claims, sure = Claims(), PossibleMotions()
-    assert [claims.claim(V, sure) for _ in range(3)] == [False, True, True]
-    assert not claims.claim(V, weigh(W, turned(1.2), 0.0))
-    assert claims.claim(V, sure)  # one of two
+    assert weigh(W, turned(angle), excess).agree is agree
 
 
 def test_without_travel_only_the_rotation_s_part_is_left():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.contrast import Contrast
+from emoflow_ros.core.flow_starts import best_start, fresh_start, is_lost
 from emoflow_ros.core.lattice import Lattice
-from emoflow_ros.core.second_look import best_start, fresh_start, is_lost
 from emoflow_ros.core.window_events import WindowEvents
 
 LATTICE = Lattice.with_spacing(160, 120, 26.0)

@@ -10,7 +10,7 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.wide import why_wide
 
 DEGREE = np.radians(1.0)
-GOOD = Quality(20_000, stop_reason="converged", contrast_gain=1.8, second_look_px=0.4, warm=True)
+GOOD = Quality(20_000, stop_reason="converged", contrast_gain=1.8, warm=True)
 
 
 def estimate(w_deg_s: float, v_deg: float = 5.0, **quality: Any) -> Estimate:
@@ -27,7 +27,6 @@ def estimate(w_deg_s: float, v_deg: float = 5.0, **quality: Any) -> Estimate:
     (estimate(5.1), "ambiguous"),
     (estimate(1.0, 16.0), "ambiguous"),
     (estimate(5.1, warm=False), "start"),
-    (estimate(5.1, second_look_px=2.1), "flow"),
     (estimate(5.1, events=4_000), "events"),
     (estimate(5.1, contrast_gain=1.2), "motion"),
 ])  # fmt: skip

@@ -157,7 +157,7 @@ def test_two_instances_differ_by_their_namespace(start: Start) -> None:
         ("twist_rate", "abc", "'abc' is not a number; give one, as in 10.0"),
         ("speed", "fast", "'fast' is not a number; give one, as in 10.0"),
         ("speed", "nan", "'nan' is not a number; give one, as in 10.0"),
-        ("profile", "fast", "unknown profile 'fast'; use one of memory, paper, paper_dsec"),
+        ("profile", "fast", "unknown profile 'fast'; use one of paper, paper_dsec"),
         (
             "params_file",
             "mvsek",

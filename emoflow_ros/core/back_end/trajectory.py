@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, turned
+from emoflow_ros.core.back_end.prior_kernels import rotation_vector
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.estimate import Motion
 from emoflow_ros.core.events import NS_PER_S
@@ -123,8 +124,8 @@ def interpolated(
     node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
     share = float((t - times[node]) / (times[node + 1] - times[node]))
     angular = (1 - share) * x.angular[node] + share * x.angular[node + 1]
-    mean = 0.5 * (x.angular[node] + angular)
-    rotation = turned(x.rotation[node], mean * ((t - times[node]) / NS_PER_S))
+    step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
+    rotation = turned(x.rotation[node], share * step)
     velocity = (1 - share) * x.velocity[node] + share * x.velocity[node + 1]
     return angular, rotation.T @ velocity, (node, share, rotation)
 

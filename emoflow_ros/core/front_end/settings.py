@@ -49,7 +49,7 @@ class FrontEndSettings:
     reach_px: float = 7.0
     coarse_reach_px: float = 6.0
     border_px: int = 5
-    most_patches: int = 400
+    most_patches: int = 250
     distance_px: int = 5
     edge_share: float = 0.1
     least_score: float = 0.04
