@@ -204,7 +204,7 @@ class Odometry:
         if found is None:
             return self.start()
         costs = state.costs
-        sure = len(costs) == back.rotation_slices and np.mean(costs) > back.surely_travels
+        sure = len(costs) == back.rotation_windows and np.mean(costs) > back.surely_travels
         skipped = sure and state.adjustments % back.check_every != 0
         turned = None if skipped else rotating(problem, found, known, back)
         if turned is not None and turned.cost < found.cost:
@@ -212,7 +212,7 @@ class Odometry:
             found = best(problem, turned.x, known, [], back) or found
         if turned is not None:
             saved = (turned.cost - found.cost) / len(some)
-            costs = (*costs, saved)[-back.rotation_slices :]
+            costs = (*costs, saved)[-back.rotation_windows :]
             if np.mean(costs) < back.rotation_cost:
                 found = turned
         found = _unit_depth(found)

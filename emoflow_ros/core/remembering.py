@@ -6,23 +6,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.back_end.consistency import Revisions, covariance_factor
 from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Estimator, FlowSampler, MotionModel, Status
-from emoflow_ros.core.events import NS_PER_MS, Window
+from emoflow_ros.core.estimate import (
+    Estimate,
+    Estimator,
+    FlowSampler,
+    Motion,
+    MotionModel,
+    Status,
+)
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import GRID_PX, SliceEvents
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.preparation import WorkingImage
+from emoflow_ros.core.scene import motion_field
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
+_BEND_TIMES = 9  # at which the rotation over a window is read
 _LONGEST_GAP_NS = 300 * NS_PER_MS  # between slices; after a longer one the memory begins anew
 
 
@@ -32,10 +43,12 @@ class Memory:
 
     Attributes:
         odometry: nodes, patches and what they tell.
+        revisions: of what was told before.
         end: of the last slice, ns; None before the first one.
     """
 
     odometry: State
+    revisions: Revisions
     end: int | None = None
 
 
@@ -63,6 +76,7 @@ class RememberingEstimator:
         self._front = front or FrontEndSettings()
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
+        self._nodes: Array | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -91,13 +105,15 @@ class RememberingEstimator:
             return replace(memory, end=end), found
         slices = self._slices(window, end, found, found.flow)
         state = self._odometry.step(memory.odometry, slices)
-        motion = state.motion(found.t)
-        estimate = found if motion is None else self._read(found, state, motion)
-        return Memory(state, window.t_end), estimate
+        before, motion = memory.revisions, state.motion(found.t)
+        again = None if before.t is None else state.motion(before.t)
+        revision = before.after(again, self._odometry.back)
+        memory = Memory(state, Revisions(revision, found.t, motion), window.t_end)
+        return memory, found if motion is None else self._read(found, state, motion, revision)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
-        return Memory(self._odometry.start())
+        return Memory(self._odometry.start(), Revisions(self._odometry.back.usual_revision))
 
     def _slices(
         self, window: Window, since: int, found: Estimate, flow: FlowSampler
@@ -128,15 +144,14 @@ class RememberingEstimator:
         variance = max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + spread**2
         return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
 
-    def _read(self, found: Estimate, state: State, motion: MotionAt) -> Estimate:
+    def _read(self, found: Estimate, state: State, motion: MotionAt, revision: float) -> Estimate:
         """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
         back, adjusted = self._odometry.back, state.adjusted
         assert adjusted is not None
-        covariance = motion.covariance * adjusted.variance_factor(back)
+        cost, shown = adjusted.mean_cost(back), int(state.patches.shown.sum())
+        factor = covariance_factor(motion, cost, shown, found.angular, revision, back)
+        covariance = factor * motion.covariance
         angular, linear, model = motion.angular, np.zeros(3), MotionModel.ROTATION
-        apart = float(((found.angular - angular) ** 2).sum())
-        excess = 1 + back.direction_excess * apart / np.trace(motion.covariance[3:, 3:])
-        covariance[3:, 3:] += back.disagreement * apart * np.eye(3)
         by_gyro = found.gyro.state is GyroState.USED
         if by_gyro:
             angular = found.angular
@@ -146,12 +161,17 @@ class RememberingEstimator:
         if adjusted.travels and speed > 0:
             across = np.eye(6)
             linear = motion.linear / speed
-            across[:3, :3] = np.sqrt(excess) * (np.eye(3) - np.outer(linear, linear)) / speed
+            side = np.eye(3) - np.outer(linear, linear)
+            across[:3, :3] = np.sqrt(back.direction_excess) / speed * side
             covariance = across @ covariance @ across.T
             if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
                 model = MotionModel.FULL
         if model is MotionModel.ROTATION:
             linear, covariance = np.zeros(3), without_travel(covariance)
+        told = AdjustedMotion(
+            state.t, adjusted.x, model is MotionModel.FULL, found.motion if by_gyro else None
+        )
+        assert isinstance(found.flow, LatticeFlow)
         return replace(
             found,
             status=Status.OK,
@@ -159,7 +179,29 @@ class RememberingEstimator:
             linear=linear,
             angular=angular,
             covariance=covariance,
-            motion=AdjustedMotion(
-                state.t, adjusted.x, model is MotionModel.FULL, found.motion if by_gyro else None
-            ),
+            motion=told,
+            flow=self._bent(found.flow, told),
         )
+
+    def _bent(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
+        """Add to a flow how the rotation in the window's middle differs from its mean.
+
+        The lattice's flow changes linearly in time: of hands that tremble it is the mean. What is
+        added in the middle is taken off at both ends, so that the way over the window stays.
+        """
+        times = np.linspace(flow.t_start, flow.t_end, _BEND_TIMES).astype(np.int64)
+        angular = np.array([motion.angular(int(t)) for t in times])
+        mean = (angular[:-1] + angular[1:]).mean(axis=0) / 2
+        bend = angular[_BEND_TIMES // 2] - mean
+        rotation = self._rotational(flow.lattice) @ (bend * (flow.t_end - flow.t_start) / NS_PER_S)
+        bump = rotation.reshape(*flow.values.shape[:2], 2)
+        begin, end = flow.values[:, :, 0], flow.values[:, :, -1]
+        values = np.stack([begin - bump, (begin + end) / 2 + bump, end - bump], axis=2)
+        lattice = replace(flow.lattice, times=3)
+        return replace(flow, lattice=lattice, values=values.astype(np.float32))
+
+    def _rotational(self, lattice: Lattice) -> Array:
+        """Flow (nodes, 2, 3) at a lattice's nodes by an angular velocity, px/rad."""
+        if self._nodes is None or len(self._nodes) != len(lattice.pixels):
+            self._nodes = motion_field(self.image.sensor, lattice.pixels)[1]
+        return self._nodes

@@ -37,13 +37,18 @@ class Grid:
         """Nodes GRID_PX apart; where the lens has no inverse, as in the middle of the image."""
         rows, columns = grid_size(*camera.size)
         nodes = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) * float(GRID_PX)
-        bearings, jacobian = camera.undistort(np.minimum(nodes, np.array(camera.size) - 1.0))
-        known = np.isfinite(bearings).all(axis=-1)
-        bearings = np.where(known[..., None], bearings, 0.0)
-        jacobian = np.where(known[..., None, None], jacobian, np.eye(2) / camera.fx)
-        a, b = motion_matrices(bearings)
-        lens = np.linalg.inv(jacobian)
-        return cls(lens @ a, lens @ b)
+        return cls(*motion_field(camera, np.minimum(nodes, np.array(camera.size) - 1.0)))
+
+
+def motion_field(camera: Camera, points: Array) -> tuple[Array, Array]:
+    """Matrices A and B (..., 2, 3) of the motion field in px at points (..., 2) px."""
+    bearings, jacobian = camera.undistort(points)
+    known = np.isfinite(bearings).all(axis=-1)
+    bearings = np.where(known[..., None], bearings, 0.0)
+    jacobian = np.where(known[..., None, None], jacobian, np.eye(2) / camera.fx)
+    a, b = motion_matrices(bearings)
+    lens = np.linalg.inv(jacobian)
+    return lens @ a, lens @ b
 
 
 def rigid_flow(

@@ -60,7 +60,7 @@ if sys.argv[1] != "compile":
 
 digest = hashlib.sha256()
 models = []
-for k in range(2, 6):
+for k in range(2, 9):
     found = estimator.estimate(window(k))
     models.append(found.model)
     quality = found.quality

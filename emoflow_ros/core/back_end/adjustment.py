@@ -59,10 +59,6 @@ class Adjusted:
         squares = self.squares / (1 + self.squares / settings.outlier**2)
         return 0.5 * float(squares.mean()) / settings.expected_cost
 
-    def variance_factor(self, settings: BackEndSettings) -> float:
-        """By how much squared errors exceed the covariance: where many places do not fit, more."""
-        return max(self.mean_cost(settings), settings.least_cost)
-
 
 def adjust(
     observations: Observations, start: Unknowns, prior: Prior, outlier: float, steps: int,

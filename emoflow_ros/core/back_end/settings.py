@@ -31,18 +31,19 @@ class BackEndSettings:
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
-        rotation_slices: over whose mean that is decided.
+        rotation_windows: adjustments over whose mean that is decided.
         surely_travels: cost per patch from which that is checked now and then only.
-        check_every: slices between such checks.
+        check_every: adjustments between such checks.
         directions: of travel that are tried while the memory fills.
         directions_at: numbers of nodes at which they are tried.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
         least_cost: over that: fewer errors than expected are not believed.
-        disagreement: share of the squared difference to the lattice's angular velocity that is
-            added to the variance about each axis: where both differ, either may be wrong.
-        direction_excess: by how much that difference, squared and over the variance, multiplies
-            the variance of the direction of travel: rotation and sideways travel look alike.
+        excess: factor on the covariance (core.back_end.consistency).
+        direction_excess: factor on that of the direction of travel besides.
+        fewest_shown: patches that are counted at least there.
+        revision_share: of the newest revision in their mean.
+        usual_revision, most_revision: before the first one, and at most.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
         steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
@@ -66,7 +67,7 @@ class BackEndSettings:
     lattice_sd_deg: float = 1.5
     lattice_outlier: float = 20.0
     rotation_cost: float = 1.25
-    rotation_slices: int = 6
+    rotation_windows: int = 3
     surely_travels: float = 3.75
     check_every: int = 3
     directions: int = 18
@@ -74,8 +75,12 @@ class BackEndSettings:
     start_speed: float = 0.3
     expected_cost: float = 0.25
     least_cost: float = 0.6
-    disagreement: float = 0.2
-    direction_excess: float = 6.0
+    excess: float = 50.0
+    direction_excess: float = 2.0
+    fewest_shown: int = 5
+    revision_share: float = 0.1
+    usual_revision: float = 0.1
+    most_revision: float = 2.0
     widest_direction_deg: float = 60.0
     steps: int = 8
     rotation_steps: int = 6

@@ -45,7 +45,7 @@ class FrontEndSettings:
     own_sharpness: float = 0.97
     correlation: float = 0.5
     patience: int = 3
-    expected_px: float = 2.0
+    expected_px: float = 1.0
     reach_px: float = 7.0
     coarse_reach_px: float = 6.0
     border_px: int = 5

@@ -147,10 +147,10 @@ def test_walks_are_learnt_from_restless_and_from_steady_motion():
         assert learnt == pytest.approx(walk, rel=0.35)
 
 
-def test_places_that_do_not_fit_widen_the_covariance():
+def test_the_mean_cost_is_one_where_all_is_right_and_more_where_places_do_not_fit():
     settings = BackEndSettings()
     good, bad = (
         Adjusted(truth(), 0.0, np.full(10, s), np.eye(3), np.arange(3), True) for s in (0.5, 9.0)
     )
-    assert good.variance_factor(settings) == pytest.approx(0.25 / 1.125 / 0.25)
-    assert bad.variance_factor(settings) > 5
+    assert good.mean_cost(settings) == pytest.approx(0.25 / 1.125 / 0.25)
+    assert bad.mean_cost(settings) > 5
