@@ -44,7 +44,7 @@ def observations(patches: Patches, settings: BackEndSettings) -> Observations:
     every, first = np.arange(count), patches.first
     later = patches.found.copy()
     later[every, first] = False
-    patch, node = np.nonzero(later)
+    patch, node = (np.ascontiguousarray(index) for index in np.nonzero(later))
     return Observations(
         patch, node, patches.seen[patch, node], patches.root[patch, node],
         first, patches.seen[every, first],

@@ -12,7 +12,8 @@ from emoflow_ros.core.jit import njit
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+# Without fastmath: sums are the same in every copy of a function (contrast._load_kernels).
+_compiled = njit(nogil=True)
 
 
 class Prior(NamedTuple):

@@ -14,7 +14,11 @@ F64 = NDArray[np.float64]
 EDGE = 0.15
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
-_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+_compiled = njit(fastmath=_FAST, nogil=True)
+# Within what calls it: copies by themselves would take sums in another order
+# (contrast._load_kernels).
+_inlined = njit(fastmath=_FAST, nogil=True, inline="always")
 
 
 @_compiled
@@ -27,7 +31,7 @@ def cut(image: F32, points: F64, radius: int) -> F32:
     return out
 
 
-@_compiled
+@_inlined
 def _sample(image: F32, left: float, top: float, out: F32) -> None:
     """Sample an image bilinearly at whole steps from (left, top) on; zero off the image."""
     h, w = image.shape
@@ -121,7 +125,7 @@ def align(
         )  # fmt: skip
 
 
-@_compiled
+@_inlined
 def _judge(
     template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, total: np.float32,
     squares: np.float32, sign: np.float32, information: F64,
@@ -167,7 +171,7 @@ def _judge(
     return float(product) / math.sqrt(squares * power)
 
 
-@_compiled
+@_inlined
 def _axes(p: float, q: float, r: float, chance: float) -> tuple[float, float, float, float, float]:
     """Principal axes of products of slopes [p, q; q, r].
 
@@ -182,7 +186,7 @@ def _axes(p: float, q: float, r: float, chance: float) -> tuple[float, float, fl
     return high, left, left / low if left > 0 else 0.0, math.cos(angle), math.sin(angle)
 
 
-@_compiled
+@_inlined
 def _weighted(
     template: F32, sign: np.float32, weights: F32, weighted: F32, by_x: F32, by_y: F32
 ) -> tuple[np.float32, ...]:
@@ -208,7 +212,7 @@ def _weighted(
     return squares, tx, ty, p, q, r
 
 
-@_compiled
+@_inlined
 def _compared(
     now: F32, weights: F32, weighted: F32, by_x: F32, by_y: F32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
