@@ -17,7 +17,7 @@ def told(angular: np.ndarray = W) -> MotionAt:
 
 
 def factor(cost: float = 1.0, shown: int = 100, apart: float = 0.0, revision: float = 0.1) -> float:
-    measured = W + [apart * SD, 0.0, 0.0]
+    measured = W + np.array([apart * SD, 0.0, 0.0])
     return covariance_factor(told(), cost, shown, measured, revision, SETTINGS)
 
 
@@ -41,7 +41,7 @@ def test_revisions_are_learnt_from_what_the_next_adjustment_changes():
     assert before.after(None, SETTINGS) == 0.1
     share = SETTINGS.revision_share
     for change, squared in ((1.0, 1 / 3), (30.0, SETTINGS.most_revision)):
-        again = told(W + [0.0, change * SD, 0.0])
+        again = told(W + np.array([0.0, change * SD, 0.0]))
         mean = (1 - share) * 0.1 + share * squared
         assert before.after(again, SETTINGS) == pytest.approx(mean)
     assert factor(revision=0.4) == pytest.approx(4 * factor(revision=0.1))
