@@ -46,16 +46,18 @@ class Figures:
         quarter = -(-len(values) // 4)
         return float(np.median(values[:quarter])), float(np.median(values[-quarter:]))
 
-    def table(self, seconds: float, windows: Mapping[str, int]) -> str:
+    def table(self, seconds: float, load: float, windows: Mapping[str, int]) -> str:
         """Lay the figures out as they stand in docs/operations.md.
 
         Args:
             seconds: length of the run.
+            load: load average of the machine; above its cores times wait for other processes.
             windows: how many there were, by what became of them.
         """
         fates = ", ".join(f"{count} {name}" for name, count in windows.items() if count)
         lines = [
-            f"{seconds:.0f} s, {sum(windows.values())} windows, each accounted for once: {fates}.",
+            f"{seconds:.0f} s, load {load:.1f}; {sum(windows.values())} windows, each accounted "
+            f"for once: {fates}.",
             "",
             f"| fault | times | right again after, ms: median, 95 %, longest | over "
             f"{1e3 * RIGHT_AGAIN_S:.0f} ms |",

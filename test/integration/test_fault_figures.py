@@ -6,7 +6,7 @@ from harness import CAMERA, MS
 from moving_dots import MovingDots
 
 TABLE = """\
-100 s, 12 windows, each accounted for once: 10 ok, 2 dropped.
+100 s, load 2.5; 12 windows, each accounted for once: 10 ok, 2 dropped.
 
 | fault | times | right again after, ms: median, 95 %, longest | over 500 ms |
 |---|---|---|---|
@@ -26,7 +26,7 @@ def test_table_holds_times_by_fault_and_memory_by_quarter() -> None:
     figures.right_again["kill_worker"] = [0.2, 0.1, 0.7]
     figures.uses = [Use(9, 30, 2, 3, 100.0 + 2 * k, 200.0 - 2 * k) for k in range(8)]
     assert figures.quarters("node_mb") == (101, 113)
-    assert figures.table(100.0, {"ok": 10, "dropped": 2, "failed": 0}) == TABLE
+    assert figures.table(100.0, 2.5, {"ok": 10, "dropped": 2, "failed": 0}) == TABLE
 
 
 def test_dots_enter_columns_in_the_order_of_time_however_the_stream_is_cut() -> None:
