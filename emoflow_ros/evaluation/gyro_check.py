@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.gyro_checks import AXES, UNITS, axis_names
 from emoflow_ros.core.gyro_config import GyroConfig
+from emoflow_ros.core.gyro_measurement import GyroMeans
 from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.evaluation.window_results import WindowResult
 
@@ -60,35 +61,6 @@ class Alignment:
     residual: float
     spread: Array
     windows: int
-
-
-class GyroMeans:
-    """Means of a gyro's readings over intervals, fast for many intervals.
-
-    Args:
-        t: (N,) int64 ns, increasing.
-        w: (N, 3).
-    """
-
-    def __init__(self, t: Times, w: Array) -> None:
-        self._t = t
-        seconds = np.diff(t)[:, None] / 1e9
-        steps = 0.5 * (w[1:] + w[:-1]) * seconds
-        self._integral = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-
-    def over(self, starts: Times, ends: Times) -> Array:
-        """Mean (M, 3) over each interval; NaN where readings do not cover it."""
-        origin = int(self._t[0])
-        own = (self._t - origin).astype(np.float64)
-        means = np.full((len(starts), 3), np.nan)
-        inside = (starts >= self._t[0]) & (ends <= self._t[-1])
-        a = (starts[inside] - origin).astype(np.float64)
-        b = (ends[inside] - origin).astype(np.float64)
-        for axis in range(3):
-            area = np.interp(b, own, self._integral[:, axis])
-            area -= np.interp(a, own, self._integral[:, axis])
-            means[inside, axis] = area / ((b - a) / 1e9)
-        return means
 
 
 def align(means: GyroMeans, starts: Times, ends: Times, events: Array) -> Alignment | None:

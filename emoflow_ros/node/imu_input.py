@@ -9,19 +9,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.clock import SAME_CLOCK_NS
+from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.gyro_checks import GyroState
+from emoflow_ros.core.gyro_clock import GyroClock
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings
 from emoflow_ros.node.tasks import Task
 
 type Mounting = Callable[[str, str], NDArray[np.float64]]
 
-_CAPACITY = 8192  # readings: 4 s at 2 kHz
+_CAPACITY = 32_768  # readings: 8 s at 2 kHz, at least
 _DISORDER = 100 * NS_PER_MS  # a larger step back starts another run of the recording
 _WAIT_S = 0.008
 _LIVE = 200 * NS_PER_MS  # a gyro that is further behind than this is not waited for
 _SILENT_S = 0.5
-_SAME_CLOCK = NS_PER_S  # with a larger offset, event times are not ROS times
+_SEARCH_EACH = 8  # windows: a search for the clocks' offset takes 20 ms
 _ANGULAR = 13 * 8  # bytes after the header: orientation and its covariance
 _NOT_MEASURED = -1.0
 _HEAD = {"<": struct.Struct("<iII"), ">": struct.Struct(">iII")}
@@ -33,7 +37,7 @@ class MountingError(Exception):
 
 
 class ReadingBuffer:
-    """The latest readings, at least 4096 of them, in arrays that are allocated once."""
+    """The latest readings, at least 16 384 of them, in arrays that are allocated once."""
 
     def __init__(self) -> None:
         self._t = np.zeros(_CAPACITY, np.int64)
@@ -69,13 +73,18 @@ class ReadingBuffer:
         a, b = np.searchsorted(t, [first, last + 1])
         return t[a:b].copy(), self._w[a:b].copy()
 
+    def all(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """All times (N,) and angular velocities (N, 3); views that hold until the next call."""
+        return self._t[: self._count], self._w[: self._count]
+
 
 class ImuInput:
     """Gives windows the readings that cover them.
 
     A window waits for readings up to its end, 8 ms at most, and not for a gyro that is silent.
     Where the events' own times are ROS times, within a second, the stamps of the IMU are compared
-    with them directly. Otherwise the stamps are mapped to the events' times.
+    with them directly. Otherwise the stamps are mapped to the events' times. Where the two are on
+    two clocks all the same, windows get no readings until the offset is found (core.gyro_clock).
 
     Args:
         config: `rotation` is looked up with `mounting`.
@@ -85,6 +94,7 @@ class ImuInput:
 
     Attributes:
         refusal: what is wrong with the latest message; empty if nothing is.
+        event_delay_ns: of event times behind their messages' stamps; 0 where that is not known.
     """
 
     def __init__(
@@ -107,7 +117,9 @@ class ImuInput:
         self._heard: float | None = None
         self._rotation: NDArray[np.float64] | None = None
         self._unmounted = ""
-        self._apart = 0  # from the last window's end to the latest reading, ns
+        self._same_clock = GyroClock()
+        self._clocks_ns = 0
+        self.event_delay_ns = 0
         self.refusal = ""
 
     @property
@@ -168,16 +180,47 @@ class ImuInput:
             return f"no message on {topic} for {silent:.1f} s: check the driver"
         if self._unmounted:
             return self._unmounted
-        if abs(self._apart) > NS_PER_S:
+        apart = self._same_clock.apart_ns
+        if abs(apart) > SAME_CLOCK_NS:
             return (
-                f"the stamps of {topic} are {self._apart / NS_PER_S:.1f} s from the events: it is "
+                f"the stamps of {topic} are {apart / NS_PER_S:.1f} s from the events: it is "
                 "on another clock; use one clock, or set imu.time_offset_ms"
+            )
+        if self._is_doubtful:
+            return (
+                f"the stamps of {topic} are {apart / NS_PER_S:.2f} s from the events: on another "
+                "clock, or one comes late; not used until turning the camera tells which, or "
+                "imu.time_offset_ms is set (evaluate --check-imu)"
             )
         return ""
 
+    def learn(self, estimate: Estimate) -> str:
+        """Find the offset of the clocks where it is doubtful, by windows without the gyro.
+
+        Returns:
+            What is found, in words; empty while nothing is.
+        """
+        by_events = estimate.status is Status.OK and estimate.gyro.state is GyroState.NONE
+        if not (self._is_doubtful and by_events) or self._rotation is None:
+            return ""
+        known = self._same_clock.add(estimate.t_start, estimate.t_end, estimate.angular)
+        if known % _SEARCH_EACH:
+            return ""
+        readings = GyroReadings.mounted(*self._buffer.all(), self._rotation, -self._clocks_ns)
+        if not self._same_clock.search(readings):
+            return ""
+        return (
+            f"the gyro is used with its stamps {self._same_clock.offset_ns / NS_PER_MS:+.0f} ms: "
+            "so it turns as the events do"
+        )
+
+    @property
+    def _is_doubtful(self) -> bool:
+        return not self._config.time_offset_ns and self._same_clock.is_doubtful
+
     def _waits(self, task: Task) -> bool:
         latest = self._buffer.latest
-        if latest is None:
+        if latest is None or self._is_doubtful:
             return False
         ahead = latest - task.window.t_end - self._shift(task)
         if ahead >= 0 or ahead < -_LIVE:
@@ -187,8 +230,7 @@ class ImuInput:
     def _with_readings(self, task: Task) -> Task:
         if self._buffer.latest is None:
             return task
-        window, shift = task.window, self._shift(task)
-        self._apart = self._buffer.latest - window.t_end - shift
+        self._note_time(task)
         try:
             if self._rotation is None:
                 self._rotation = self._mounting(self._frame, task.frame_id)
@@ -196,12 +238,29 @@ class ImuInput:
         except MountingError as error:
             self._unmounted = str(error)
             return task
+        if self._is_doubtful:
+            return task
+        window, shift = task.window, self._shift(task)
         around = (window.t_start + shift - 2 * REACH_NS, window.t_end + shift + 2 * REACH_NS)
         t, w = self._buffer.between(*around)
         readings = GyroReadings.mounted(t, w, self._rotation, -shift)
         return replace(task, window=window.with_gyro(readings))
 
+    def _note_time(self, task: Task) -> None:
+        """Note how far the readings are from a window, unless the gyro is silent."""
+        latest, heard = self._buffer.latest, self._heard
+        if task.is_slice or latest is None or heard is None:
+            return
+        self._clocks_ns = _clocks_ns(task)
+        if self._clock() - heard < _SILENT_S:
+            apart = latest - task.window.t_end - self._clocks_ns + self._config.time_offset_ns
+            self._same_clock.note(apart, self.event_delay_ns)
+
     def _shift(self, task: Task) -> int:
         """Stamp of the IMU minus event time, ns."""
-        clocks = task.time_offset if abs(task.time_offset) > _SAME_CLOCK else 0
-        return clocks - self._config.time_offset_ns
+        return _clocks_ns(task) - self._config.time_offset_ns - self._same_clock.offset_ns
+
+
+def _clocks_ns(task: Task) -> int:
+    """ROS time minus event time, ns; 0 where event times are ROS times."""
+    return task.time_offset if abs(task.time_offset) > SAME_CLOCK_NS else 0

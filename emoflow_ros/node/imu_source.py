@@ -16,6 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu
 
 from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
 from emoflow_ros.node.diagnostics import Statistics
@@ -32,7 +33,6 @@ _QOS = QoSProfile(
 _MOST = 2000  # messages in one fetch
 _FETCH_S = 0.05  # between events, so that the middleware's history does not overflow
 _LOOK_S = 0.004  # while a window waits
-_DOUBTFUL_S = 0.1  # more than drivers take for a message
 
 
 class ImuSource:
@@ -107,6 +107,8 @@ class ImuSource:
 
     def judge(self, estimate: Estimate) -> None:
         """Note what became of the gyro in an estimate."""
+        if found := self._input.learn(estimate):
+            self._node.get_logger().info(found)
         if estimate.gyro.state is GyroState.REJECTED:
             self._statistics.set_problem("gyro", self._level, f"gyro: {estimate.gyro}")
         elif estimate.gyro.state is GyroState.USED:
@@ -118,19 +120,6 @@ class ImuSource:
             return
         if problem := self._input.problem(self._topic):
             self._statistics.set_problem("gyro", self._level, f"gyro: {problem}")
-        elif doubt := self._doubtful_clock():
-            self._statistics.set_problem("gyro", Level.WARN, f"gyro: {doubt}")
-
-    def _doubtful_clock(self) -> str:
-        """Say that the events' clock may not be the gyro's; empty if it is, or if that is known."""
-        delay_s = self._statistics.event_delay_s
-        if abs(delay_s) < _DOUBTFUL_S or self._config.time_offset_ms:
-            return ""
-        return (
-            f"the events are {delay_s:.2f} s behind the stamps of their messages: if that is their "
-            "clock and no delay, the gyro is off by as much; evaluate --check-imu finds out, "
-            "imu.time_offset_ms corrects it"
-        )
 
     def _look(self) -> None:
         self._release()
@@ -140,6 +129,7 @@ class ImuSource:
     def _release(self) -> None:
         if self._subscription is not None:
             self._subscription.fetch()
+        self._input.event_delay_ns = round(self._statistics.event_delay_s * NS_PER_S)
         if tasks := self._input.ready():
             self._hand_on(tasks)
 

@@ -9,14 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.gyro_checks import axis_names
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.evaluation.gyro_check import (
-    GyroMeans,
-    align,
-    check_lines,
-    mirrored_axes,
-    nearest_axes,
-)
+from emoflow_ros.core.gyro_measurement import GyroMeans, GyroReadings
+from emoflow_ros.evaluation.gyro_check import align, check_lines, mirrored_axes, nearest_axes
 from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.readers.reader_base import Imu
 

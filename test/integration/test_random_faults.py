@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -9,38 +10,52 @@ from harness import WAIT_S, Peer, Processes
 from random_faults import PARAMETERS, Script
 from rclpy.qos import ReliabilityPolicy
 
+from emoflow_ros.node.supervisor import FACTORY
+
 pytestmark = pytest.mark.dds
 
 LONG_S = float(os.environ.get("SOAK_S", "3600"))
+REAL = ("estimator.min_events:=200",)  # in windows of a small sensor
+SOAK = [pytest.mark.soak, pytest.mark.timeout(0)]
 
 
 @pytest.mark.parametrize(
-    "seconds", [1.0, pytest.param(LONG_S, marks=[pytest.mark.soak, pytest.mark.timeout(0)])]
+    ("factory", "parameters", "seconds"),
+    [
+        ("fake_estimators:Recorder", (), 1.0),
+        pytest.param(FACTORY, REAL, LONG_S, marks=SOAK),
+    ],
 )
 def test_every_window_is_accounted_for_whatever_happens(
-    processes: Processes, seconds: float, capsys: pytest.CaptureFixture[str]
+    processes: Processes,
+    factory: str,
+    parameters: tuple[str, ...],
+    seconds: float,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     with Peer(reliability=ReliabilityPolicy.RELIABLE) as peer:
-        node = processes.start_node("fake_estimators:Recorder", PARAMETERS)
+        node = processes.start_node(factory, (*PARAMETERS, *parameters))
         peer.connect()
         script = Script(peer, processes, node.pid, seed=16)
-        script.run(seconds)
-        threads, files, below, segments, memory = zip(*script.used, strict=True)
-        assert max(threads) <= threads[0] + 1
-        assert max(files) <= files[0] + 3
-        assert set(below) == {below[0]}
-        assert max(segments) <= segments[0] + 1
-        assert memory[-1] < memory[len(memory) // 4] + 10
+        began = time.monotonic()
+        try:
+            script.run(seconds)
+        finally:
+            if seconds == LONG_S and script.figures.uses:
+                with capsys.disabled():
+                    took, load = time.monotonic() - began, os.getloadavg()[2]
+                    print(f"\n{script.figures.table(took, load, script.fates())}")
+        uses = script.figures.uses
+        assert max(use.threads for use in uses) <= uses[0].threads + 1
+        assert max(use.files for use in uses) <= uses[0].files + 3
+        assert {use.below for use in uses} == {uses[0].below}
+        assert max(use.segments for use in uses) <= uses[0].segments + 1
+        for part in ("node_mb", "worker_mb"):
+            first, last = script.figures.quarters(part)
+            assert last < first + 10
+        assert set(script.figures.right_again) == {"start", *script.done}
         shared = script.shared_memory()
         node.send_signal(signal.SIGINT)
         assert node.wait(WAIT_S) == 0
         assert [path for path in shared if Path(path).exists()] == []
         assert script.unexplained() == ["SIGINT: the node ends"]
-    with capsys.disabled():
-        if seconds == LONG_S:
-            verdicts = list(script.verdicts.values())
-            counts = {name: verdicts.count(name) for name in ("ok", "failed", "dropped")}
-            print(f"\n{len(script.cut)} windows: {counts}; done: {dict(script.done)}")
-            print(f"first and last use: {script.used[0]}, {script.used[-1]}")
-            some = [round(mb) for mb in memory[:: len(memory) // 16 + 1]]
-            print(f"MB of memory on the way: {some}")

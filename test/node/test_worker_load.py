@@ -37,8 +37,8 @@ def test_worker_that_hangs_is_not_taken_for_a_slow_one(bench: PipelineBench) -> 
     ("processor_s", "line"),
     [
         (0.03, "other processes leave the estimation 30% of a core; end them, lower their prior"),
-        (0.09, "the estimation is slower than the events; give longer windows, or fewer estim"),
-        (0.15, "the estimation is slower than the events; give longer windows, or fewer estim"),
+        (0.09, "the estimation is slower than the events; give a larger window.stride_ms, or a"),
+        (0.15, "the estimation is slower than the events; give a larger window.stride_ms, or a"),
     ],
 )
 def test_load_of_the_machine_is_told_from_settings_that_are_too_slow(
