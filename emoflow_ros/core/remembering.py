@@ -168,10 +168,10 @@ class RememberingEstimator:
                 model = MotionModel.FULL
         if model is MotionModel.ROTATION:
             linear, covariance = np.zeros(3), without_travel(covariance)
-        told = AdjustedMotion(
-            state.t, adjusted.x, model is MotionModel.FULL, found.motion if by_gyro else None
-        )
-        assert isinstance(found.flow, LatticeFlow)
+        assert isinstance(found.flow, LatticeFlow) and found.motion is not None
+        turning = found.motion if by_gyro else None
+        travels = model is MotionModel.FULL
+        told = AdjustedMotion(state.t, adjusted.x, travels, found.motion, turning)
         return replace(
             found,
             status=Status.OK,

@@ -28,7 +28,7 @@ def adjusted(first: int, unit: float, travels: bool = True) -> AdjustedMotion:
     x = Unknowns(
         np.tile(np.eye(3), (NODES, 1, 1)), place, np.zeros((NODES, 3)), velocity, np.zeros(0)
     )
-    return AdjustedMotion(times, x, travels)
+    return AdjustedMotion(times, x, travels, Still())
 
 
 def estimate(motion: object, t: int) -> Estimate:

@@ -138,19 +138,23 @@ class AdjustedMotion:
         times: (K,) ns.
         x: the way.
         travels: whether the direction of travel is known.
+        ahead: whose change of the angular velocity goes on after the newest node, as the lattice's.
         turning: whose angular velocity counts instead, as a gyro's.
     """
 
     times: Times
     x: Unknowns
     travels: bool
+    ahead: Motion
     turning: Motion | None = None
 
     def angular(self, t: int) -> Array:
         """Angular velocity at time t (ns), (3,) rad/s."""
         if self.turning is not None:
             return self.turning.angular(t)
-        return interpolated(self.times, self.x, t)[0]
+        newest = int(self.times[-1])
+        after = 0.0 if t <= newest else self.ahead.angular(t) - self.ahead.angular(newest)
+        return interpolated(self.times, self.x, t)[0] + after
 
     def linear(self, t: int) -> Array:
         """Direction of the linear velocity at time t (ns), (3,) unit, or zeros."""
