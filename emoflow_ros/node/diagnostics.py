@@ -10,6 +10,7 @@ import psutil
 
 from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.wide import why_wide
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.stream_watch import DROPPED, FAILED, REFUSALS, StreamWatch
 from emoflow_ros.node.tasks import Loss, Result, Task
@@ -180,8 +181,12 @@ class Statistics:
         most = max(_STATUSES, key=lambda name: recent[name])
         if most == f"windows_{Status.OK}" or 2 * recent[f"windows_{Status.OK}"] >= done:
             return "running"
-        status = most.removeprefix("windows_").replace("_", " ")
-        return f"running; {recent[most]} of {done} windows: {status}"
+        status = most.removeprefix("windows_")
+        last = self._last_result
+        if last is not None and status == str(last.estimate.by_events):
+            why = why_wide(last.estimate)
+            status += f" ({why})" if why else ""
+        return f"running; {recent[most]} of {done} windows: {status.replace('_', ' ')}"
 
     def _reasons(
         self, recent: Counter[str], silence_s: float, twist_s: float
