@@ -25,7 +25,7 @@ _TOO_FAST = (
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
-    "slices_failed": "slices failed, so motions of now are missing: {loss}",
+    "slices_failed": "slices failed, so latest twists are missing: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
     "messages_skipped": f"messages left out: {_TOO_FAST}",
     "messages_in_part": f"messages decoded in part: {_TOO_FAST}",
