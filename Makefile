@@ -39,7 +39,7 @@ bench-long: messages  ## all of benchmarks/ in full, ten minutes of replay and t
 	@$(ENV)
 	python -m benchmarks --long
 
-accuracy: setup  ## accuracy and honesty over many recordings, into out/accuracy/; ACCURACY_ARGS=--quick: fewer
+accuracy: setup  ## accuracy and consistency over many recordings, into out/accuracy/; ACCURACY_ARGS=--quick: fewer
 	@$(ENV)
 	python -m benchmarks.scoreboard $(ACCURACY_ARGS)
 

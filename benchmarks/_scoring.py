@@ -18,7 +18,7 @@ SCENES = ("calm", "forward", "mover", "noisy", "agile", "rotation", "driving")
 MIN_WINDOWS = 50  # per scene, for the targets to mean something
 PAPER_SPEED_UP = 5000.0  # target: the published loop's time over a warm window's
 _FLOW_SCENES = ("calm", "forward", "mover", "noisy")
-_TRAVELLING_SCENES = tuple(scene for scene in SCENES if scene != "rotation")
+_TRANSLATING_SCENES = tuple(scene for scene in SCENES if scene != "rotation")
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ MEASURES = (
         "v_error_deg",
         "signed direction error of v, median, deg",
         lambda scores: _over(np.median, [s.result.direction_error_deg for s in scores]),
-        dict.fromkeys(_TRAVELLING_SCENES, 5.0),
+        dict.fromkeys(_TRANSLATING_SCENES, 5.0),
     ),
     Measure(
         "observed_percent",

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:  # NumPy must find the number of threads below when it is imported
     import numpy as np
@@ -39,6 +40,10 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 # A shell ignores SIGINT for its background jobs, and children inherit that: tests that interrupt
 # a process would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# By default an example of hypothesis that takes 200 ms fails, as any does on a busy machine.
+settings.register_profile("patient", deadline=None)
+settings.load_profile("patient")
 
 sys.path.insert(0, str(ROOT / "test" / "recordings"))
 pytest_plugins = ["recording_fixtures"]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 
 import pytest
+from hypothesis import settings
 
 type Bound = Callable[[float], AbstractContextManager[None]]
 
@@ -23,6 +24,12 @@ def work(seconds: float) -> None:
     until = time.process_time() + seconds
     while time.process_time() < until:
         pass
+
+
+def test_examples_of_hypothesis_have_no_limit_of_time() -> None:
+    assert settings.default is not None
+    assert settings.default.deadline is None
+    assert settings(max_examples=3).deadline is None
 
 
 def test_waiting_is_no_work(bounded_work: Bound) -> None:

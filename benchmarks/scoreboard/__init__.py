@@ -1,4 +1,4 @@
-"""The scoreboard: how accurate and how honest the estimator is, recording by recording.
+"""The scoreboard: how accurate and how consistent the estimator is, recording by recording.
 
 `subjects` says which recordings there are, `observe` runs the estimator over one and notes every
 window beside the truth, `figures` reduces windows to figures and `verdicts` judges them. `table`

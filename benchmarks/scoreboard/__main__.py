@@ -1,4 +1,4 @@
-"""Measure how accurate and how honest the estimator is, over many recordings.
+"""Measure how accurate and how consistent the estimator is, over many recordings.
 
 60 random recordings of 3 s, those of another simulator and real ones, each from two cold starts.
 Writes accuracy.json, report.html and one table of windows per recording into the folder of --out.

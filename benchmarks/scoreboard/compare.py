@@ -21,11 +21,11 @@ from benchmarks.scoreboard.score_summary import SCORES
 from benchmarks.scoreboard.summary import FORMAT
 from benchmarks.scoreboard.verdicts import CRITERIA
 from emoflow_ros.cli import run
-from emoflow_ros.errors import InputError
+from emoflow_ros.errors import InputError, say
 
 _RESAMPLES = 2000
 _CONFIDENCE = 0.95
-_VERDICTS = ("accurate", "honest")
+_VERDICTS = ("accurate", "consistent")
 _LABEL_WIDTH = 38
 _FIX = "give the accuracy.json of a run, or its folder"
 
@@ -56,7 +56,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Changed:
-    """A recording whose verdict changed: `accurate` or `honest`, and what it is now."""
+    """A recording whose verdict changed: `accurate` or `consistent`, and what it is now."""
 
     name: str
     verdict: str
@@ -107,11 +107,20 @@ def read_run(path: Path) -> dict[str, Recording]:
         document = json.loads(file.read_text(encoding="utf-8"))
         if document["format"] != FORMAT:
             raise InputError(file, f"of format {document['format']}, not {FORMAT}", _FIX)
-        return {recording["name"]: recording for recording in document["recordings"]}
+        recordings = [_of_today(recording, file) for recording in document["recordings"]]
+        return {recording["name"]: recording for recording in recordings}
     except OSError as error:
         raise InputError(file, f"cannot be read ({error.strerror})", _FIX) from None
     except (ValueError, KeyError, TypeError):
         raise InputError(file, "not a run of the scoreboard", _FIX) from None
+
+
+def _of_today(recording: Recording, file: Path) -> Recording:
+    """Return a recording with the names of today."""
+    if "honest" not in recording:
+        return recording
+    say(file, "of an older version: `honest` is taken as `consistent`")
+    return {"consistent" if name == "honest" else name: recording[name] for name in recording}
 
 
 def compare(first: Mapping[str, Recording], second: Mapping[str, Recording]) -> Comparison:

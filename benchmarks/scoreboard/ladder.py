@@ -107,8 +107,8 @@ def _told(found: Estimate, material: Material) -> dict[str, Estimate]:
     starts = replace(found, flow=flow)
     truth = starts
     if twist is not None:
-        travel = np.zeros(3) if twist.linear is None else twist.linear
-        unit = travel / max(float(np.linalg.norm(travel)), 1e-9)
+        linear = np.zeros(3) if twist.linear is None else twist.linear
+        unit = linear / max(float(np.linalg.norm(linear)), 1e-9)
         covariance = _UNKNOWN * np.eye(6)
         truth = replace(starts, angular=twist.angular, linear=unit, covariance=covariance)
     return {"truth": truth, "starts": starts, "own": found}

@@ -20,7 +20,7 @@ from emoflow_ros.truth import TrueFlow, TrueTwist
 
 SECOND_START_S = 0.37
 _SHORT = 3  # the second start leaves out at most this part of a recording, 1/3
-_MIN_PARALLAX_PX = 0.5  # below, the image does not tell where the camera travels to
+_MIN_PARALLAX_PX = 0.5  # below, the image does not tell which way the camera moves
 _MIN_SPEED = 1e-3  # m/s
 
 Pixels = NDArray[np.intp]
@@ -68,7 +68,7 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
     # Slow motion takes the window whole: its flow need not be put together twice.
     partial = whole if part.t_start == window.t_start else _true_flow(part, material)
     moved, parallax = _true_motion(window, material, whole)
-    if not _travels(twist):
+    if not _translates(twist):
         parallax = 0.0  # else it is the rounding of flow maps
     truth_px, epe_px = _flow_error(part, estimate, material, partial)
     nothing = np.full(3, np.nan)
@@ -94,7 +94,7 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
     }
 
 
-def _travels(twist: TrueTwist | None) -> bool:
+def _translates(twist: TrueTwist | None) -> bool:
     """Whether the truth tells a translation."""
     if twist is None or twist.linear is None:
         return False
@@ -121,8 +121,8 @@ def _true_motion(window: Window, material: Material, true: TrueFlow | None) -> t
     if not len(pixels):
         return 0.0, 0.0
     flow = true.displacement[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-    turned = displace(material.camera, pixels, rotation, np.zeros(3))
-    parallax = np.linalg.norm(flow - turned, axis=1)
+    rotated = displace(material.camera, pixels, rotation, np.zeros(3))
+    parallax = np.linalg.norm(flow - rotated, axis=1)
     return float(np.median(np.linalg.norm(flow, axis=1))), float(np.nanmean(parallax))
 
 

@@ -13,7 +13,7 @@ from benchmarks.scoreboard.plots import motion_figure
 from benchmarks.scoreboard.run import Outcome, file_name, severity
 from benchmarks.scoreboard.score_summary import SCORES
 from benchmarks.scoreboard.table import number
-from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
+from benchmarks.scoreboard.verdicts import ACCURATE, CONSISTENT, CRITERIA
 from emoflow_ros.report.documents import png_uri
 
 WORST = 10
@@ -48,7 +48,7 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], document: Mapping[st
         worst=worst,
         links=links,
         pictures={o.name: _uri(o.picture) for o in outcomes},
-        heads=["accurate", *ACCURATE, "honest", *HONEST],
+        heads=["accurate", *ACCURATE, "consistent", *CONSISTENT],
     )
     path.write_text(page, encoding="utf-8")
     return path

@@ -51,7 +51,7 @@ class Outcome:
             "name": self.name,
             "group": self.group,
             "accurate": self.verdict.accurate,
-            "honest": self.verdict.honest,
+            "consistent": self.verdict.consistent,
             "criteria": dict(self.verdict.criteria),
             "figures": asdict(self.figures),
             "factors": self.factors,

@@ -45,12 +45,12 @@ def summarise(
 
 
 def rates(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Rates of accurate and honest recordings and of each criterion, percent."""
+    """Rates of accurate and consistent recordings and of each criterion, percent."""
     verdicts = [outcome.verdict for outcome in outcomes]
     return {
         "recordings": len(outcomes),
         "accurate": rate([verdict.accurate for verdict in verdicts]),
-        "honest": rate([verdict.honest for verdict in verdicts]),
+        "consistent": rate([verdict.consistent for verdict in verdicts]),
         **{name: rate([verdict.criteria[name] for verdict in verdicts]) for name in CRITERIA},
     }
 
@@ -59,7 +59,7 @@ def breakdown(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Rates by factor: numbers in three parts of equally many recordings, words as they are.
 
     Returns:
-        One row per factor and value: factor, value, recordings, accurate and honest in percent.
+        One row per factor and value: factor, value, recordings, accurate and consistent in percent.
     """
     rows = []
     for factor in sorted({factor for outcome in outcomes for factor in outcome.factors}):
@@ -71,7 +71,7 @@ def breakdown(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
         names = sorted(by_label, key=lambda name: _order(name, having, factor, label))
         for name in names:
             found = rates(by_label[name])
-            row = {key: found[key] for key in ("recordings", "accurate", "honest")}
+            row = {key: found[key] for key in ("recordings", "accurate", "consistent")}
             rows.append({"factor": factor, "value": name, **row})
     return rows
 

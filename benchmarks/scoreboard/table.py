@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.scoreboard.score_summary import SCORES
-from benchmarks.scoreboard.verdicts import ACCURATE, CRITERIA, HONEST
+from benchmarks.scoreboard.verdicts import ACCURATE, CONSISTENT, CRITERIA
 
 # Column's head, figure, digits.
 COLUMNS = (
@@ -28,6 +28,7 @@ COLUMNS = (
 _WIDTH = 8
 _SCORE_WIDTH = 23
 _COUNT_WIDTH = 5
+_RATE_WIDTH = 12
 
 
 def table(document: Mapping[str, Any]) -> str:
@@ -87,15 +88,15 @@ def number(value: float | None, digits: int) -> str:
 
 
 def _verdict(recording: Mapping[str, Any]) -> str:
-    words = [word for word in ("accurate", "honest") if recording[word]]
+    words = [word for word in ("accurate", "consistent") if recording[word]]
     missed = [name for name in CRITERIA if recording["criteria"][name] is False]
     return ", ".join(words) + (f" (missed: {' '.join(missed)})" if missed else "")
 
 
 def _rate_lines(rates: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    heads = ["accurate", *ACCURATE, "honest", *HONEST]
-    lines = [f"{'rates, %':<12}{'count':>6}" + "".join(f"{head:>10}" for head in heads)]
+    heads = ["accurate", *ACCURATE, "consistent", *CONSISTENT]
+    lines = [f"{'rates, %':<12}{'count':>6}" + "".join(f"{head:>{_RATE_WIDTH}}" for head in heads)]
     for group, found in rates.items():
-        numbers = "".join(f"{number(found[head], 0):>10}" for head in heads)
+        numbers = "".join(f"{number(found[head], 0):>{_RATE_WIDTH}}" for head in heads)
         lines.append(f"{group:<12}{found['recordings']:>6}{numbers}")
     return lines

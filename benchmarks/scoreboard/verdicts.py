@@ -1,4 +1,4 @@
-"""Whether a recording's figures are accurate, and whether they are honest, by named criteria."""
+"""Whether a recording's figures are accurate, and whether consistent, by named criteria."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,8 +14,8 @@ NEES = (0.3, 3.0)
 CONFIDENT_PERCENT = 1.0
 
 ACCURATE = ("coverage", "epe", "w", "v")
-HONEST = ("answer", "still", "nees", "confident", "lost")
-CRITERIA = ACCURATE + HONEST
+CONSISTENT = ("answer", "still", "nees", "confident", "lost")
+CRITERIA = ACCURATE + CONSISTENT
 
 # True, False, or None where nothing in the recording can be judged by it.
 Criterion = bool | None
@@ -36,9 +36,9 @@ class Verdict:
         return all(self.criteria[name] is not False for name in ACCURATE)
 
     @property
-    def honest(self) -> bool:
-        """No criterion of HONEST is missed."""
-        return all(self.criteria[name] is not False for name in HONEST)
+    def consistent(self) -> bool:
+        """No criterion of CONSISTENT is missed."""
+        return all(self.criteria[name] is not False for name in CONSISTENT)
 
     @property
     def missed(self) -> list[str]:
@@ -54,11 +54,11 @@ def judge(figures: Figures) -> Verdict:
     RMS |w|, whichever is larger; `v`, median error at most 8 degrees where the true parallax
     exceeds 2 px. Estimates there of which none claims v miss it.
 
-    Honest: `answer`, an estimate at all where anything moves: silence has no covariance that could
-    be wrong; `still`, no estimate while nothing moves, or one that its covariance covers; `nees`,
-    mean NEES of w and of v between 0.3 and 3; `confident`, confident and wrong in at most 1 % of
-    the windows with an estimate; `lost`, in no moving window with an estimate is the EPE above
-    half of the displacement.
+    Consistent: `answer`, an estimate at all where anything moves: silence has no covariance that
+    could be wrong; `still`, no estimate while nothing moves, or one that its covariance covers;
+    `nees`, mean NEES of w and of v between 0.3 and 3; `confident`, confident and wrong in at most
+    1 % of the windows with an estimate; `lost`, in no moving window with an estimate is the EPE
+    above half of the displacement.
     """
     f = figures
     v = _at_most(f.v_median, V_DEG)

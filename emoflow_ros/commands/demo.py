@@ -55,7 +55,7 @@ class Collected:
     Attributes:
         twists: those of windows, (linear, angular) by stamp in ns.
         twist_arrivals: monotonic time in s by stamp, of the same.
-        present_arrivals: the same of the twists of now.
+        present_arrivals: the same of the latest twists.
         event_arrivals: (time of the message's last event in ns, monotonic time in s).
     """
 
@@ -69,7 +69,7 @@ class Collected:
         return self._since(t_end, self.twist_arrivals.get(stamp))
 
     def present_ages_ms(self) -> list[float]:
-        """Time from the event at each stamp to the twist of now with that stamp."""
+        """Time from the event at each stamp to the latest twist with that stamp."""
         return [self._since(stamp, arrival) for stamp, arrival in self.present_arrivals.items()]
 
     def _since(self, t: int, arrival: float | None) -> float:
@@ -220,7 +220,7 @@ def _show(collected: Collected, estimates: Estimates, truth: Truth, folder: Path
     print("ms: from the event that completes a window to the arrival of its twist")
     if ages := collected.present_ages_ms():  # none where windows wait so long as to be of the past
         print(
-            f"{len(ages)} twists of now came on /egomotion/twist; from the event at their stamp "
+            f"{len(ages)} latest twists came on /egomotion/twist; from the event at their stamp "
             f"they took {np.nanmedian(ages):.0f} ms (median)"
         )
     for name in ("report.html", "report.json", "estimates.h5"):

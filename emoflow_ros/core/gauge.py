@@ -28,7 +28,7 @@ _STEP_NS = NS_PER_MS  # over which the speed is taken
 _SURE = 3.0  # standard deviations
 _FEWEST_OF_EDGES = 1000  # events
 _EDGES = 4.0  # variance over that by chance from which there are edges
-_FEWEST = 20  # events; a sensor that sends fewer may be blind
+_FEWEST = 20  # events of a window from a sensor that works
 REST_PX_S = 3.0  # up to which a camera is at rest
 _DEPTH_M = 3.0  # of the scene, to tell the speed of a camera at rest in m/s
 _LEAST_PX_S = 0.5  # speed that is never excluded
@@ -94,7 +94,7 @@ class Gauge:
 
         Of fast motion only the latest part counts: on a longer way events leave their blocks.
         """
-        if window.events.came < _FEWEST:
+        if not works(window.events):
             return None
         way = scatter(window.events, self.camera, surely=False) / self.per_px
         if way > _LONGEST_PX:
@@ -132,6 +132,11 @@ def scatter(events: Events, camera: Camera, *, surely: bool) -> float:
     error = np.sqrt((by_chance + 2 * by_chance**2) / len(number))
     excess = float(number.var()) - by_chance + (-_SURE * error if surely else error)
     return float(np.sqrt(max(0.0, excess)))
+
+
+def works(events: Events) -> bool:
+    """Tell whether a sensor works: one that sends hardly an event may be blind."""
+    return events.came >= _FEWEST
 
 
 def structured(events: Events, camera: Camera) -> bool:

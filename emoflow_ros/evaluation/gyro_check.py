@@ -50,7 +50,7 @@ class Alignment:
         offset_ns: what is to be added to the gyro's stamps.
         residual: root mean square of the differences, outliers counting less, rad/s per axis.
         spread: (3,) root of the eigenvalues of the events' covariance over the windows, largest
-            first, rad/s: how far the camera turned about its three main axes.
+            first, rad/s: how far the camera rotated about its three main axes.
         windows: how many were compared.
     """
 
@@ -101,9 +101,9 @@ def fit(gyro: Array, events: Array) -> Alignment | None:
         weights = 1 / (1 + (left**2).sum(axis=1) / (_INLIER * spread) ** 2) ** 2
     centred = events - np.median(events, axis=0)
     eigenvalues = np.linalg.eigvalsh(np.cov(centred.T, aweights=weights))[::-1]
-    turned = np.sqrt(np.maximum(eigenvalues, 0))
+    rotated = np.sqrt(np.maximum(eigenvalues, 0))
     residual = float(np.sqrt((weights @ (left**2).sum(axis=1)) / weights.sum() / 3))
-    return Alignment(rotation, scale, bias, 0, residual, turned, len(gyro))
+    return Alignment(rotation, scale, bias, 0, residual, rotated, len(gyro))
 
 
 def nearest_axes(rotation: Array) -> Array:
@@ -122,9 +122,9 @@ def mirrored_axes(gyro: Array, events: Array, rotation: Array) -> Array | None:
     events = events[known] - np.median(events[known], axis=0)
 
     def left(matrix: Array) -> float:
-        turned = gyro @ matrix.T
-        scale = (turned * events).sum() / max((turned**2).sum(), 1e-12)
-        return float(np.median(np.linalg.norm(events - max(scale, 0) * turned, axis=1)))
+        rotated = gyro @ matrix.T
+        scale = (rotated * events).sum() / max((rotated**2).sum(), 1e-12)
+        return float(np.median(np.linalg.norm(events - max(scale, 0) * rotated, axis=1)))
 
     best = min((c for c in AXES if np.linalg.det(c) < 0), key=left)
     return best if left(best) < 0.6 * left(rotation) else None
@@ -180,10 +180,10 @@ def check_lines(
     if found is None:
         yield f"  cannot tell: fewer than {_FEW} windows with an estimate and readings"
         return
-    turned = ", ".join(f"{math.degrees(s):.1f}" for s in found.spread)
-    yield f"  {found.windows} windows, rotation about the three main axes {turned} deg/s (RMS)"
+    rotated = ", ".join(f"{math.degrees(s):.1f}" for s in found.spread)
+    yield f"  {found.windows} windows, rotation about the three main axes {rotated} deg/s (RMS)"
     if found.spread[1] < _SLOW:
-        yield "  cannot tell: the camera turns about less than two axes; turn it about all three"
+        yield "  cannot tell: the camera rotates about less than two axes; use all three"
         return
     shifted = means.over(starts - found.offset_ns, ends - found.offset_ns)
     mirrored = mirrored_axes(shifted, events, found.rotation)

@@ -212,13 +212,13 @@ def _local_trajectory(windows: Sequence[WindowResult]) -> list[Measure]:
         return []
     span = f"over {RELATIVE_SPAN_S:g} s"
     errors, ways = run.relative_errors(RELATIVE_SPAN_S).T, run.ways(RELATIVE_SPAN_S)
-    drift, turn = (list(zip(of, ways, strict=True)) for of in errors)
+    drift, rotation = (list(zip(of, ways, strict=True)) for of in errors)
     absolute = run.absolute_errors.tolist()
     return [
         _measure("sim3_ate_m", "ATE, aligned by a similarity", "m", absolute, _rms),
         _measure("way_m", "True way of the same run", "m", [run.length], np.mean),
         _measure("drift_percent", f"Drift of position {span} / way", "%", drift, _percent_of_truth),
-        _measure("drift_deg_m", f"Drift of rotation {span} / way", "deg/m", turn, _per_truth),
+        _measure("drift_deg_m", f"Drift of rotation {span} / way", "deg/m", rotation, _per_truth),
     ]
 
 

@@ -42,11 +42,11 @@ class Trajectory:
 
         The rotation and translation of least squares (Umeyama, PAMI 1991, scale 1).
         """
-        return self._turned + self.true[:, :3, 3].mean(axis=0)
+        return self._rotated + self.true[:, :3, 3].mean(axis=0)
 
     @property
-    def _turned(self) -> Points:
-        """Estimated positions (N, 3) around their mean, turned onto the true ones."""
+    def _rotated(self) -> Points:
+        """Estimated positions (N, 3) around their mean, rotated onto the true ones."""
         ours, true = (_around_mean(poses[:, :3, 3]) for poses in (self.estimated, self.true))
         with warnings.catch_warnings():  # on a straight line the roll is arbitrary
             warnings.simplefilter("ignore", UserWarning)
@@ -56,9 +56,9 @@ class Trajectory:
     @property
     def best_scale(self) -> float:
         """Factor of the estimated lengths in the similarity of least squares (Umeyama)."""
-        turned = self._turned
-        along = (turned * _around_mean(self.true[:, :3, 3])).sum()
-        return float(along / (turned**2).sum())
+        rotated = self._rotated
+        along = (rotated * _around_mean(self.true[:, :3, 3])).sum()
+        return float(along / (rotated**2).sum())
 
     def scaled(self) -> "Trajectory":
         """Return the same run, its estimated lengths at the best scale.

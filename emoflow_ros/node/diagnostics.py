@@ -10,6 +10,7 @@ import psutil
 
 from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.wide import why_wide
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.stream_watch import DROPPED, FAILED, REFUSALS, StreamWatch
 from emoflow_ros.node.tasks import Loss, Result, Task
@@ -24,7 +25,7 @@ _TOO_FAST = (
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
-    "slices_failed": "slices failed, so motions of now are missing: {loss}",
+    "slices_failed": "slices failed, so latest twists are missing: {loss}",
     "windows_diverged": "windows diverged: check the calibration, or give longer windows",
     "messages_skipped": f"messages left out: {_TOO_FAST}",
     "messages_in_part": f"messages decoded in part: {_TOO_FAST}",
@@ -180,8 +181,12 @@ class Statistics:
         most = max(_STATUSES, key=lambda name: recent[name])
         if most == f"windows_{Status.OK}" or 2 * recent[f"windows_{Status.OK}"] >= done:
             return "running"
-        status = most.removeprefix("windows_").replace("_", " ")
-        return f"running; {recent[most]} of {done} windows: {status}"
+        status = most.removeprefix("windows_")
+        last = self._last_result
+        if last is not None and status == str(last.estimate.by_events):
+            why = why_wide(last.estimate)
+            status += f" ({why})" if why else ""
+        return f"running; {recent[most]} of {done} windows: {status.replace('_', ' ')}"
 
     def _reasons(
         self, recent: Counter[str], silence_s: float, twist_s: float

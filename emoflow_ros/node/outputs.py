@@ -41,7 +41,7 @@ class Outputs:
         options: what to publish.
         statistics: told while twists are not what was asked for.
         made: gets the calls that take the topics away.
-        present: whether motions of now will come.
+        present: whether latest twists will come.
 
     Raises:
         InputError: the options need a package that is not installed.

@@ -1,4 +1,4 @@
-"""How fast the camera travels: the scale of its direction, from a parameter or a topic."""
+"""The speed of the camera: the scale of its direction, from a parameter or a topic."""
 
 import math
 from collections.abc import Callable

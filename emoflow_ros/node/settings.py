@@ -182,7 +182,7 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class ScaleOptions:
-    """How fast the camera travels, which its events do not show."""
+    """The speed of the camera, which its events do not show."""
 
     source: str = option(
         "none",

@@ -44,7 +44,7 @@ class TwistOutput:
         node: to publish with.
         options: in which frame, how wide, and how the covariance says that nothing is known.
         made: gets the calls that take the topics away.
-        present: whether motions of now will come; else `egomotion/twist` carries the windows'.
+        present: whether latest twists will come; else `egomotion/twist` carries the windows'.
 
     Raises:
         InputError: tf is asked for and not installed.

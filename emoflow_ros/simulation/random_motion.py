@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from emoflow_ros.simulation.scene import PITCH, ROLL, YAW, Step, Trajectory, Wave, X, Y, Z
 
-_PLACE, _TURN = (X, Y, Z), (YAW, PITCH, ROLL)
-_LARGEST_TURN = 0.45  # rad, amplitude of one wave: the scene stays in view
+_PLACE, _ROTATION = (X, Y, Z), (YAW, PITCH, ROLL)
+_LARGEST_ROTATION = 0.45  # rad, amplitude of one wave: the scene stays in view
 _FASTEST_HZ = 5.0
 
 
@@ -45,9 +45,9 @@ class Path:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lever: tuple[float, float, float] | None = None
 
-    def scaled(self, place: float, turn: float) -> "Path":
+    def scaled(self, place: float, rotation: float) -> "Path":
         """Scale all translations and all rotations; the lever stays."""
-        factor = [place] * 3 + [turn] * 3
+        factor = [place] * 3 + [rotation] * 3
         return Path(
             tuple(replace(w, amplitude=w.amplitude * factor[w.channel]) for w in self.waves),
             tuple(replace(s, height=s.height * factor[s.channel]) for s in self.steps),
@@ -79,7 +79,9 @@ def mover_path(demand: Demand, rng: np.random.Generator) -> Path:
     """Draw the motion of an object: to and fro across the image, turning a little."""
     across = _waves((X, Y), demand.speed, (0.2, 1.0), demand.reach, rng)
     along = _waves((Z,), 0.3 * demand.speed, (0.2, 0.6), 0.3 * demand.reach, rng)
-    return Path(across + along + _waves(_TURN, 0.3 * demand.rate, (0.2, 0.8), _LARGEST_TURN, rng))
+    return Path(
+        across + along + _waves(_ROTATION, 0.3 * demand.rate, (0.2, 0.8), _LARGEST_ROTATION, rng)
+    )
 
 
 def _hover(demand: Demand, rng: np.random.Generator) -> Path:
@@ -123,7 +125,7 @@ def _walking(demand: Demand, rng: np.random.Generator) -> Path:
         Wave(PITCH, 0.5 * rate / (2 * np.pi * pace), pace, phase + 0.7),
         Wave(ROLL, 0.5 * rate / (np.pi * pace), pace / 2, phase + 1.6),
     ]
-    look = _waves(_TURN, 0.8 * rate, (0.2, 1.2), _LARGEST_TURN, rng)
+    look = _waves(_ROTATION, 0.8 * rate, (0.2, 1.2), _LARGEST_ROTATION, rng)
     return _ahead(speed, demand, (*waves, *look), rng)
 
 
@@ -133,8 +135,8 @@ def _drone(demand: Demand, rng: np.random.Generator) -> Path:
     speed, rate = np.sqrt(1 - share) * demand.speed, np.sqrt(share) * demand.rate
     waves = (
         *_waves(_PLACE, 0.6 * speed, (0.15, 0.8), demand.reach, rng),
-        *_waves(_TURN, 0.9 * rate, (0.2, 1.5), _LARGEST_TURN, rng),
-        *_waves(_TURN, 0.1 * rate, (3.0, _FASTEST_HZ), _LARGEST_TURN, rng),
+        *_waves(_ROTATION, 0.9 * rate, (0.2, 1.5), _LARGEST_ROTATION, rng),
+        *_waves(_ROTATION, 0.1 * rate, (3.0, _FASTEST_HZ), _LARGEST_ROTATION, rng),
     )
     return _ahead(0.8 * speed, demand, waves, rng)
 
@@ -174,14 +176,14 @@ def _rotation(demand: Demand, rng: np.random.Generator) -> Path:
     axis = rng.normal(0, 1, 3)
     axis /= np.linalg.norm(axis)
     waves = _waves((YAW,), demand.rate, (0.15, 1.5), 0.6, rng)
-    return Path(tuple(part for wave in waves for part in _along(wave, axis, _TURN)))
+    return Path(tuple(part for wave in waves for part in _along(wave, axis, _ROTATION)))
 
 
 def _stop_and_go(demand: Demand, rng: np.random.Generator) -> Path:
     """Moves from rest to rest on all channels, with waits between them."""
     share = rng.uniform(0.3, 0.7)
     scale = np.repeat([np.sqrt(1 - share) * demand.speed, np.sqrt(share) * demand.rate], 3)
-    limit = np.repeat([demand.reach, _LARGEST_TURN], 3)
+    limit = np.repeat([demand.reach, _LARGEST_ROTATION], 3)
     steps, t, place = [], float(rng.uniform(-0.3, 0.6)), np.zeros(6)
     while t < demand.duration:
         length = float(rng.uniform(0.4, 1.2))
@@ -218,7 +220,9 @@ def _floating(
 ) -> Path:
     """Waves on all channels; `share` of the image's motion (its square) comes from rotation."""
     place = _waves(_PLACE, np.sqrt(1 - share) * demand.speed, band, demand.reach, rng)
-    return Path(place + _waves(_TURN, np.sqrt(share) * demand.rate, band, _LARGEST_TURN, rng))
+    return Path(
+        place + _waves(_ROTATION, np.sqrt(share) * demand.rate, band, _LARGEST_ROTATION, rng)
+    )
 
 
 def _ahead(speed: float, demand: Demand, waves: tuple[Wave, ...], rng: np.random.Generator) -> Path:

@@ -123,26 +123,27 @@ def _fitted(
     duration_s: float,
 ) -> Path:
     """Scale a path towards the wanted image motion, short of flying into anything."""
-    place = turn = 1.0
+    place = rotation = 1.0
     times = np.linspace(0, duration_s, 400)
     for k in range(_ROUNDS):
-        place = _with_clearance(path, place, turn, gaze, layout, times)
-        turn *= min(1.0, _LARGEST_ACCELERATION / _acceleration(path.scaled(place, turn), times))
+        place = _with_clearance(path, place, rotation, gaze, layout, times)
+        acceleration = _acceleration(path.scaled(place, rotation), times)
+        rotation *= min(1.0, _LARGEST_ACCELERATION / acceleration)
         if k == _ROUNDS - 1:
             break
-        scene = Scene(layout.quads, path.scaled(place, turn).trajectory(*gaze))
+        scene = Scene(layout.quads, path.scaled(place, rotation).trajectory(*gaze))
         found = image_motion(camera, scene, duration_s)
         if found == 0 or abs(found / wanted - 1) < 0.03:
             break
         change = float(np.clip(wanted / found, 0.3, 3.0))
-        place, turn = place * change, min(turn * change, 4.0)
-    return path.scaled(place, turn)
+        place, rotation = place * change, min(rotation * change, 4.0)
+    return path.scaled(place, rotation)
 
 
 def _with_clearance(
     path: Path,
     place: float,
-    turn: float,
+    rotation: float,
     gaze: tuple[float, float],
     layout: Layout,
     times: NDArray[np.float64],
@@ -151,7 +152,7 @@ def _with_clearance(
     start = float(quad_distance(layout.quads, np.zeros((1, 3)))[0])
     allowed = min(max(CLEARANCE, _CLEARANCE_SHARE * layout.depth), 0.7 * start)
     for _ in range(40):
-        trajectory = path.scaled(place, turn).trajectory(*gaze)
+        trajectory = path.scaled(place, rotation).trajectory(*gaze)
         way = np.stack([trajectory.pose(t)[1] for t in times])
         if quad_distance(layout.quads, way).min() >= allowed:
             break
@@ -172,7 +173,7 @@ def _movers(
     gaze: tuple[float, float],
     duration_s: float,
 ) -> tuple[tuple[Trajectory, ...], tuple[Quad, ...]]:
-    """Objects in front of the first view, which travel along with the camera."""
+    """Objects in front of the first view, which move along with the camera."""
     rng = factors.generator("movers")
     rotation, _ = path.trajectory(*gaze).pose(0.0)
     trajectories: list[Trajectory] = []

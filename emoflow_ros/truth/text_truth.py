@@ -101,8 +101,8 @@ class ConstantRotation:
         camera = self._camera
         bearings = camera.bearings.astype(np.float64)
         rays = np.concatenate([bearings, np.ones((*bearings.shape[:2], 1))], axis=-1)
-        turned = Rotation.from_rotvec(self._angular * (t1 - t0) / NS_PER_S).as_matrix()
-        moved = rays @ turned  # rows times R = R^T times columns: points turn the other way
+        rotation = Rotation.from_rotvec(self._angular * (t1 - t0) / NS_PER_S).as_matrix()
+        moved = rays @ rotation  # rows times R = R^T times columns: points rotate the other way
         grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
         with np.errstate(invalid="ignore"):
             flow = camera.project(moved) - grid

@@ -1,6 +1,7 @@
 """Streams of a scene of edges that moves at any speed over noise, and what is measured of them."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -9,6 +10,8 @@ from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.stream import ContinuousEstimator, State
 
 CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 LATTICE = Lattice(346, 260, 3, 3, 2)
@@ -16,6 +19,7 @@ LENGTH = 135 * NS_PER_MS
 EDGES, EDGE_PX = 60, 80
 DOTS = EDGES * EDGE_PX
 FOCAL_PX = 226.0
+STRIDE_MS = 67.5
 
 
 def scene(
@@ -73,3 +77,53 @@ def nothing(at: Window, status: Status = Status.NO_MOTION) -> Estimate:
     """What an estimator tells of a window in which it finds nothing."""
     middle = (at.t_start + at.t_end) // 2
     return Estimate(at.t_start, at.t_end, middle, status, Quality(9, stop_reason=str(status)))
+
+
+class Scripted:
+    """Measures nothing (an Estimator)."""
+
+    def estimate(self, window: Window) -> Estimate:
+        return nothing(window)
+
+    def reset(self) -> None:
+        pass
+
+
+def continuous() -> ContinuousEstimator:
+    """The stream over an estimator that measures nothing."""
+    return ContinuousEstimator(Scripted(), CAMERA, LatticeConfig())
+
+
+def darkness(until_s: float) -> Events:
+    """A scene that moves, until its light goes out and only noise is left."""
+    events = scene(100.0, until_s) if until_s else Events.empty()
+    rng = np.random.default_rng(1)
+    n = 90_000
+    x, y = (rng.integers(0, side, n).astype(np.uint16) for side in CAMERA.size)
+    t = np.sort(rng.integers(round(until_s * 1e9), round(until_s * 1e9) + 8 * NS_PER_MS, n))
+    noise = scene(0.0, 2.0)
+    noise = noise[noise.t > t[-1]]
+    return Events.concatenate([events, Events(x, y, t, np.zeros(n, bool)), noise])
+
+
+def go_on(
+    stream: ContinuousEstimator, state: State, events: Events, since_ms: float, until_ms: float,
+    status: Status = Status.NO_MOTION,
+) -> list[Estimate]:  # fmt: skip
+    """Estimates of windows in which nothing is measured."""
+    told = []
+    for end in np.arange(since_ms, until_ms, STRIDE_MS):
+        at = window(events, end)
+        state, found = stream.step(state, at, nothing(at, status))
+        told.append(found)
+    assert all(b.t > a.t for a, b in pairwise(told))
+    return told
+
+
+def widest(told: list[Estimate]) -> None:
+    """Nothing is known: zero within what cameras do, which is not rest."""
+    assert {e.status for e in told} == {Status.BOUNDED}
+    for found in told:
+        np.testing.assert_array_equal([found.angular, found.linear], 0)
+        np.testing.assert_allclose(np.degrees(np.sqrt(np.diag(found.covariance)[3:])), 60.0)
+        assert found.covariance[0, 0] == -1 and found.bound is None

@@ -49,7 +49,7 @@ def assert_same(one: list[Window], other: list[Window]) -> None:
         np.testing.assert_array_equal(*stands)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 10**6),
     st.sampled_from(POLICIES),
@@ -68,7 +68,7 @@ def test_thinning_on_the_way_gives_the_thinned_windows(seed, policy, max_events,
     assert slicer.left_out > 0 or max_events == 4000
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.integers(0, 10**6),
     st.sampled_from(POLICIES),

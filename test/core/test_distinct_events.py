@@ -43,7 +43,7 @@ def test_every_event_of_the_windows_counts_once(policy):
     assert (sum(len(w.events) for w in windows) > 1.5 * len(distinct)) == bool(overlapping)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.integers(0, 60), min_size=30, max_size=80).map(sorted),
     st.sampled_from([POLICIES[i] for i in (0, 1, 2, 3)]),

@@ -156,7 +156,7 @@ def test_windows_whose_last_events_lie_at_their_end_have_a_length():
     assert exact.windows[1].duration == 1 / NS_PER_S
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.floats(5.0, 2000.0), min_size=3, max_size=10),
     st.floats(2.0, 40.0),

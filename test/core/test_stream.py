@@ -1,36 +1,36 @@
 """What is told of windows in which nothing is measured: rest, darkness, and motion that goes on."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from scene_streams import CAMERA, FOCAL_PX, LENGTH, measured, nothing, scene, window
+from scene_streams import (
+    FOCAL_PX,
+    LENGTH,
+    STRIDE_MS,
+    continuous,
+    darkness,
+    go_on,
+    measured,
+    nothing,
+    scene,
+    widest,
+    window,
+)
 
-from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.estimate import MotionModel, Status
+from emoflow_ros.core.events import NS_PER_MS, Events
 from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.stream import ContinuousEstimator, State
 
-STRIDE_MS = 67.5
 MOVES_UNTIL_S = 0.4
 DRIFT = np.radians(LatticeConfig().angular_drift)
 
 
-class Scripted:
-    """Measures nothing (an Estimator)."""
-
-    def estimate(self, window: Window) -> Estimate:
-        return nothing(window)
-
-    def reset(self) -> None:
-        pass
-
-
 @pytest.fixture
 def stream() -> ContinuousEstimator:
-    return ContinuousEstimator(Scripted(), CAMERA, LatticeConfig())
+    return continuous()
 
 
 def stops(noise_hz: float = 0.2) -> Events:
@@ -47,20 +47,6 @@ def after_motion(stream: ContinuousEstimator, events: Events, until_ms: float = 
     return state
 
 
-def go_on(
-    stream: ContinuousEstimator, state: State, events: Events, since_ms: float, until_ms: float,
-    status: Status = Status.NO_MOTION,
-) -> list[Estimate]:  # fmt: skip
-    """Estimates of windows in which nothing is measured."""
-    told = []
-    for end in np.arange(since_ms, until_ms, STRIDE_MS):
-        at = window(events, end)
-        state, found = stream.step(state, at, nothing(at, status))
-        told.append(found)
-    assert all(b.t > a.t for a, b in pairwise(told))
-    return told
-
-
 @pytest.mark.parametrize("noise_hz", [0.05, 0.5])
 @pytest.mark.parametrize("status", [Status.NO_MOTION, Status.TOO_FEW_EVENTS])
 def test_a_camera_that_stops_is_still_for_as_long_as_it_rests(stream, noise_hz, status):
@@ -75,18 +61,6 @@ def test_a_camera_that_stops_is_still_for_as_long_as_it_rests(stream, noise_hz, 
         assert found.quality.stop_reason == str(status)
         assert found.motion is not None
         np.testing.assert_array_equal(found.motion.angular(found.t), 0)
-
-
-def darkness(until_s: float) -> Events:
-    """A scene that moves, until its light goes out and only noise is left."""
-    events = scene(100.0, until_s)
-    rng = np.random.default_rng(1)
-    n = 90_000
-    x, y = (rng.integers(0, side, n).astype(np.uint16) for side in CAMERA.size)
-    t = np.sort(rng.integers(round(until_s * 1e9), round(until_s * 1e9) + 8 * NS_PER_MS, n))
-    noise = scene(0.0, 2.0)
-    noise = noise[noise.t > t[-1]]
-    return Events.concatenate([events, Events(x, y, t, np.zeros(n, bool)), noise])
 
 
 def test_darkness_is_no_rest(stream):
@@ -228,25 +202,12 @@ def test_a_direction_gets_wider_across_itself_until_it_is_unknown(stream):
     assert last.status is Status.CARRIED and last.covariance[0, 0] == -1 and not last.linear.any()
 
 
-@pytest.mark.parametrize("status", [Status.NO_MOTION, Status.TOO_FEW_EVENTS, Status.DIVERGED])
-def test_before_anything_was_measured_noise_is_neither_rest_nor_motion(stream, status):
-    told = go_on(stream, State(), scene(0.0, 1.0, 0.5), 140, 900, status)
-    assert {e.status for e in told} == {status}
-
-
-def test_edges_that_move_before_anything_was_measured_bound_the_motion(stream):
-    told = go_on(stream, State(), scene(15.0, 1.0), 200, 400)
-    assert {e.status for e in told} == {Status.BOUNDED}
-    w = 15.0 / FOCAL_PX
-    assert all(w < np.sqrt(e.covariance[4, 4]) for e in told)
-
-
 def test_after_a_gap_everything_begins_anew(stream):
     events = stops()
     state = after_motion(stream, events)
     at = window(scene(0.0, 3.0), 1600)
     _, told = stream.step(state, at, nothing(at))
-    assert told.status is Status.NO_MOTION
+    widest([told])
 
 
 def test_a_step_changes_nothing_but_what_it_returns(stream):

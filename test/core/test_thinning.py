@@ -249,7 +249,7 @@ def test_spread_of_events_that_were_not_thinned_is_in_equal_steps():
     np.testing.assert_array_equal(numbers(spread(events, 40), events), np.arange(40) * 100 // 40)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.integers(1, 300))
 def test_spread_of_thinned_events_takes_those_of_the_streams_equal_steps(weights, count):
     zero = np.zeros(len(weights), np.uint16)
@@ -259,7 +259,7 @@ def test_spread_of_thinned_events_takes_those_of_the_streams_equal_steps(weights
     np.testing.assert_array_equal(spread(events, count).t, np.unique(steps))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.integers(1, 300), st.booleans())
 def test_counts_of_parts_add_up_and_the_latest_are_found(weights, count, plain):
     stands_for = None if plain else np.array(weights, np.uint32)

@@ -133,7 +133,7 @@ POLICIES = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     POLICIES,
     st.lists(st.one_of(st.just(0), st.integers(0, 5), st.integers(0, 200)), max_size=80),
@@ -161,7 +161,7 @@ def test_windows_depend_neither_on_chunks_nor_on_the_future(policy, gaps_ms, cut
             np.testing.assert_array_equal(np.flatnonzero(inside), numbers)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=60), st.integers(1, 20))
 def test_windows_without_overlap_hold_every_event_once(gaps_ms, duration_ms):
     stream = at(*np.cumsum([*gaps_ms, 1000]))  # the last event only completes the others

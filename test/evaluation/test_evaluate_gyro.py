@@ -130,7 +130,7 @@ def test_a_check_reports_and_leaves_the_gyro_out(call):
     assert code == 0
     assert {window.gyro for window, _ in WithGyro.seen} == {None}
     assert "IMU against events: imu.txt, 1000 readings at 1000 Hz" in out
-    assert "cannot tell: the camera turns about less than two axes" in out
+    assert "cannot tell: the camera rotates about less than two axes" in out
 
 
 def test_a_topic_of_a_bag_is_read(calm_bag):

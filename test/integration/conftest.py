@@ -46,8 +46,9 @@ def recorder(recorder_node: SharedNode, peer: Peer) -> Iterator[SharedNode]:
 @pytest.fixture(scope="module")
 def real_node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNode]:
     with Processes(tmp_path_factory.mktemp("real")) as made:
-        # The machine may be busy.
-        yield SharedNode(made, FACTORY, "input.queue_windows:=50")
+        # The machine may be busy: windows wait, and a slow worker is none that hangs.
+        patience = ("input.queue_windows:=50", "output.timeout_s:=600.0")
+        yield SharedNode(made, FACTORY, *patience)
 
 
 @pytest.fixture

@@ -13,9 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 FUZZ_INPUTS = 1_000_000
 FUZZ_TESTS = 4
 # Without a database: its entries would be replayed and not count as new inputs.
-settings.register_profile(
-    "fuzz", max_examples=FUZZ_INPUTS // FUZZ_TESTS, deadline=None, database=None
-)
+settings.register_profile("fuzz", max_examples=FUZZ_INPUTS // FUZZ_TESTS, database=None)
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data" / "event_packets"
 

@@ -20,7 +20,7 @@ EVENTS = 100_000
 
 # The number of examples is the profile's: 100 unless conftest.py's `fuzz` is chosen.
 any_input = settings(
-    deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 
 

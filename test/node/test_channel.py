@@ -40,7 +40,7 @@ def assert_same(one: Events, other: Events) -> None:
         np.testing.assert_array_equal(one.stands_for, other.stands_for)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.lists(st.integers(0, 10_000 * MS), max_size=20).map(sorted),
     st.sampled_from([None, 1, 300, 70_000]),

@@ -184,6 +184,6 @@ def test_slices_that_fail_are_a_warning(clock: Clock) -> None:
     report = statistics.report(2.0)
     assert report.level is Level.WARN
     assert report.message == (
-        "1 slices failed, so motions of now are missing: a slice failed: ValueError: no tracks"
+        "1 slices failed, so latest twists are missing: a slice failed: ValueError: no tracks"
     )
     assert report.values["windows_failed"] == "0"

@@ -115,6 +115,17 @@ def test_twists_that_are_published_are_no_reason_to_warn(
     assert statistics.report(2.0).message.startswith("no twist for 1.1 s: 1 of 1 windows show no")
 
 
+def test_a_camera_that_was_never_seen_to_move_is_no_reason_to_warn_but_named(
+    clock: Clock, result: Callable[..., Result]
+) -> None:
+    statistics = Statistics(clock)
+    play(statistics, clock, 1.1, result(clock.now, Status.BOUNDED, "no_motion"))
+    statistics.stream.give()
+    report = statistics.report(2.0)
+    expected = "running; 1 of 1 windows: bounded (no motion)"
+    assert (report.level, report.message) == (Level.OK, expected)
+
+
 def test_windows_that_are_dropped_or_fail_are_reasons_for_no_twist(clock: Clock) -> None:
     statistics = Statistics(clock)
     task = Task(Window(0, 1, some_events(4)), 0, 0, "", 0.0)

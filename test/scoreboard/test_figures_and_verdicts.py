@@ -40,18 +40,18 @@ def test_without_any_window_nothing_is_known_and_nothing_judged():
     assert set(verdict.criteria.values()) == {None}
 
 
-def test_a_silent_camera_at_rest_is_accurate_and_honest():
+def test_a_silent_camera_at_rest_is_accurate_and_consistent():
     verdict = judge(figures(*[silent(moved_px=0.0, parallax_px=0.0)] * 3))
     assert verdict.accurate
-    assert verdict.honest
+    assert verdict.consistent
     assert verdict.criteria["coverage"] is None
 
 
-def test_a_moving_camera_without_any_estimate_is_neither_accurate_nor_honest():
+def test_a_moving_camera_without_any_estimate_is_neither_accurate_nor_consistent():
     verdict = judge(figures(*[silent()] * 3))
     assert verdict.missed == ["coverage", "answer"]
     assert not verdict.accurate
-    assert not verdict.honest
+    assert not verdict.consistent
     assert judge(figures(silent(), row())).criteria["answer"] is True
 
 
@@ -138,7 +138,7 @@ def test_criteria_at_their_borders(criterion, met, missed):
     verdict = judge(replace(GOOD, **missed))
     assert verdict.missed == [criterion]
     assert verdict.accurate == (criterion not in ("coverage", "epe", "w", "v"))
-    assert verdict.honest != verdict.accurate
+    assert verdict.consistent != verdict.accurate
 
 
 def test_an_estimate_at_rest_may_be_off_as_far_as_its_covariance_says():

@@ -63,7 +63,7 @@ def test_the_table_names_what_is_missed_and_missing(outcomes):
     lines = text.splitlines()
     assert len([line for line in lines if line.startswith("random/")]) == 2 * 12
     assert "missing: real/gone (/nowhere)" in lines
-    assert re.search(r"real/none +-.*accurate, honest", text)
+    assert re.search(r"real/none +-.*accurate, consistent", text)
 
 
 def test_scores_are_the_first_table(outcomes):

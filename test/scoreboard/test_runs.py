@@ -23,7 +23,7 @@ def recording(name, w_rms, *, accurate=True, v_median=5.0):
     return {
         "name": name,
         "accurate": accurate,
-        "honest": False,
+        "consistent": False,
         "criteria": dict.fromkeys(CRITERIA, True) | {"v": None},
         "figures": {"epe_percent": 9.0, "w_rms": w_rms, "v_median": v_median},
     }
@@ -91,7 +91,7 @@ def test_scores_come_first_and_are_left_out_where_a_run_is_older():
 def test_changed_verdicts_are_named():
     text = describe(compare(run_of([1.0, 1.0]), run_of([1.0, 1.0], accurate=False)))
     assert "0: no longer accurate" in text
-    assert "honest" not in text.partition("0: no longer")[2]
+    assert "consistent" not in text.partition("0: no longer")[2]
     assert "no recording changed" in describe(compare(run_of([1.0]), run_of([1.0])))
 
 
@@ -107,6 +107,21 @@ def test_files_that_are_no_run_are_refused(tmp_path, text):
         read_run(tmp_path)
     with pytest.raises(InputError, match="cannot be read"):
         read_run(tmp_path / "nothing.json")
+
+
+def test_runs_of_before_the_verdict_was_renamed_are_read_and_that_is_said_once(tmp_path, capsys):
+    older = run_of([1.0, 2.0])
+    for one, verdict in zip(older.values(), (True, False), strict=True):
+        del one["consistent"]
+        one["honest"] = verdict
+    path = tmp_path / "accuracy.json"
+    path.write_text(json.dumps({"format": 1, "recordings": list(older.values())}))
+    read = read_run(tmp_path)
+    assert [one["consistent"] for one in read.values()] == [True, False]
+    assert not any("honest" in one for one in read.values())
+    line = f"{path}: of an older version: `honest` is taken as `consistent`"
+    assert capsys.readouterr().err.splitlines() == [line]
+    assert [c.verdict for c in compare(read, run_of([1.0, 2.0])).changed] == ["consistent"]
 
 
 def outcome(name, factors, **changed):
