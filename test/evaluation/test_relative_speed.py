@@ -5,6 +5,7 @@ import pytest
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion
+from emoflow_ros.core.camera_motion import SplineMotion
 from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import NS_PER_MS
 from emoflow_ros.evaluation.relative_speed import RelativeSpeed
@@ -28,7 +29,7 @@ def adjusted(first: int, unit: float, travels: bool = True) -> AdjustedMotion:
     x = Unknowns(
         np.tile(np.eye(3), (NODES, 1, 1)), place, np.zeros((NODES, 3)), velocity, np.zeros(0)
     )
-    return AdjustedMotion(times, x, travels, Still())
+    return AdjustedMotion(times, x, travels, SplineMotion(0, 1, *np.zeros((2, 4, 3))))
 
 
 def estimate(motion: object, t: int) -> Estimate:
