@@ -1,6 +1,7 @@
 """Where the adjustment starts from, and whether the camera travels or only rotates."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 import numpy as np
@@ -41,16 +42,24 @@ def best(
         None if all diverge.
     """
     tight = ((settings.outlier, settings.steps),)
-    found = _adjusted(problem, start, prior, tight, settings)
-    for x in others:
-        x = x._replace(inverse_depth=likeliest_depths(problem, x, settings.outlier))
-        made = _adjusted(problem, x, prior, settings.guess, settings)
+    with ThreadPoolExecutor(1) as beside:  # where a core is free, guesses take no time
+        guesses = [beside.submit(_guessed, problem, x, prior, settings) for x in others]
+        found = _adjusted(problem, start, prior, tight, settings)
+    for made in (guess.result() for guess in guesses):
         if made is None or (found is not None and made.cost > settings.promising * found.cost):
             continue
-        made = _adjusted(problem, made.x, prior, tight, settings) or made
-        if found is None or made.cost < found.cost:
-            found = made
+        further = _adjusted(problem, made.x, prior, tight, settings) or made
+        if found is None or further.cost < found.cost:
+            found = further
     return found
+
+
+def _guessed(
+    problem: Observations, x: Unknowns, prior: Prior, settings: BackEndSettings
+) -> Adjusted | None:
+    """Adjust from a guess of the way alone, its depths being the likeliest ones."""
+    x = x._replace(inverse_depth=likeliest_depths(problem, x, settings.outlier))
+    return _adjusted(problem, x, prior, settings.guess, settings)
 
 
 def _adjusted(

@@ -82,7 +82,7 @@ class BackEndSettings:
     usual_revision: float = 0.1
     most_revision: float = 2.0
     widest_direction_deg: float = 60.0
-    steps: int = 8
+    steps: int = 5
     rotation_steps: int = 6
     guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
     promising: float = 1.05
