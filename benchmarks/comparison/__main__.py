@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("folder", type=Path, metavar="FOLDER", help="of downloaded files, or a snippet")
     add("--profiles", nargs="+", default=["realtime"], metavar="PROFILE",
-        help="default: realtime memory")  # fmt: skip
+        help="default: realtime")  # fmt: skip
     add("--set", action="append", default=[], metavar="NAME=VALUE", dest="overrides",
         help="an option of all profiles by its dotted name, for example estimator.model=full; "
         "repeatable")  # fmt: skip

@@ -1,4 +1,4 @@
-"""The real-time estimator: a warm-started lattice fit per window."""
+"""The lattice of the real-time estimator: a warm-started fit of flow and motion per window."""
 
 import time
 from dataclasses import replace

@@ -41,7 +41,7 @@ type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
 WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
-# Enough windows for a warm start and an earlier scene
+# Enough windows for a warm start and an adjustment of the memory
 _WARM_UP_LENGTH = 90 * NS_PER_MS
 WARM_UP_ENDS = tuple(_WARM_UP_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
 _WARM_UP_EVENTS = 60_000
