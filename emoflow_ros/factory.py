@@ -37,10 +37,11 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.remembering import RememberingEstimator
     from emoflow_ros.core.stream import ContinuousEstimator
 
-    estimator: Estimator = LatticeEstimator(camera, lattice, config.imu)
+    fit = LatticeEstimator(camera, lattice, config.imu)
+    estimator: Estimator = fit
     if config.window.max_displacement_px > 0:
         estimator = MotionWindows(estimator, camera, config.window)
     if lattice.remembers:
-        estimator = RememberingEstimator(estimator, camera)
+        estimator = RememberingEstimator(estimator, camera, fit.refined)
     estimator = ContinuousEstimator(estimator, camera, lattice)
     return CleanWindows(estimator, camera)

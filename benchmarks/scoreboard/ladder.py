@@ -22,13 +22,16 @@ from benchmarks.scoreboard.simulated_subjects import random_subjects
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros.cli import run
 from emoflow_ros.config import load_config
+from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.estimate import Estimate, Status
 from emoflow_ros.core.events import NS_PER_MS, Window, WindowSlicer
+from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.motion_windows import MotionWindows
 from emoflow_ros.core.odometry import State
-from emoflow_ros.core.preparation import clean
+from emoflow_ros.core.preparation import CleanWindows, clean
 from emoflow_ros.core.remembering import RememberingEstimator
-from emoflow_ros.factory import make_estimator
 from emoflow_ros.report.documents import write_json
 
 Array = NDArray[np.float64]
@@ -82,8 +85,11 @@ class Errors:
 def measure(material: Material) -> Errors:
     """Run a recording once with the lattice, and with three memories that know different truths."""
     config = load_config("realtime")
-    lattice = make_estimator(material.calibration, config)
-    reader = RememberingEstimator(lattice, material.calibration)
+    assert isinstance(config.estimator, LatticeConfig)
+    fit = LatticeEstimator(material.calibration, config.estimator)
+    alone = MotionWindows(fit, material.calibration, config.window)
+    lattice = BoundedWindows(CleanWindows(alone, material.calibration), config.event_budget)
+    reader = RememberingEstimator(lattice, material.calibration, lambda estimate: estimate)
     memories = dict.fromkeys(("truth", "starts", "own"), reader.nothing())
     errors = Errors()
     for window in WindowSlicer(config.window).push(material.events):

@@ -32,6 +32,7 @@ _MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
 _SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
 # Standard deviation, rad/s, that is added to half of the change as a gyro tells it: none is exact.
 _SLOPE_ERROR = 1e-3
+_OF_SLOPE = 0.3  # information on half of the change over that on the mean, of another estimate
 
 
 @dataclass(frozen=True)
@@ -239,6 +240,23 @@ class KnownRotation:
         mean, slope = duration * measurement.coefficients[:2]
         bend = duration * measurement.middle - mean
         return cls(mean, information, slope, slope_information, bend)
+
+    @classmethod
+    def seen(cls, w: Array, covariance: Array) -> Self:
+        """Take it from another estimate of the window.
+
+        Args:
+            w: (N, 3) at evenly spaced times from its start to its end, rad per window; N is odd.
+            covariance: (3, 3) of each.
+        """
+        s = np.linspace(-1.0, 1.0, len(w))
+        weight = np.ones(len(w))
+        weight[[0, -1]] = 0.5
+        mean = weight @ w / weight.sum()
+        slope = (weight * s) @ w / (weight @ s**2)
+        information = INFORMATION_EXCESS * np.linalg.inv(covariance)
+        bend = w[len(w) // 2] - mean
+        return cls(mean, information, slope, _OF_SLOPE * information, bend)
 
     def control_points(self) -> Array:
         """Build the control points (4, 3) of mean and slope."""

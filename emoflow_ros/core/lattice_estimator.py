@@ -19,13 +19,14 @@ from emoflow_ros.core.flow_starts import best_start, cold_start, fresh_start, is
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement
-from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
+from emoflow_ros.core.refinement import refined
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.window_events import WindowEvents
@@ -65,6 +66,7 @@ class LatticeEstimator:
         self._gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
+        self._events = WindowEvents(*np.zeros((4, 0), np.float32))
         self.reset()
 
     def reset(self) -> None:
@@ -81,12 +83,24 @@ class LatticeEstimator:
             found = self._estimate(window, measurement)
         return with_gyro(found, measurement, self.config)
 
+    def refined(self, estimate: Estimate) -> Estimate:
+        """Fit the flow of the last window again, with the motion of an estimate of it."""
+        with self._threads.limit(limits=1, user_api="blas"):
+            found = refined(self._fit, self._events, estimate)
+        if found is None:
+            return estimate
+        flow = LatticeFlow(
+            *self._image.on_sensor(self.lattice, found), estimate.t_start, estimate.t_end
+        )
+        return replace(estimate, flow=flow)
+
     def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
         self._iterations = 0
         events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
         fit, last = self._fit, self._last
+        self._events = events
         fit.known = None
         if measurement is not None:
             fit.known = KnownRotation.measured(measurement, window.duration)

@@ -1,6 +1,6 @@
 """Windows with a memory: the lattice's flow, and the motion by positions (core.odometry)."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +61,7 @@ class RememberingEstimator:
     Args:
         estimator: of the windows' flow.
         camera: whose pixels the events lie on.
+        refine: fits the flow of a window again, once its motion is known.
         front: settings of the front end.
         back: settings of the back end.
 
@@ -69,10 +70,12 @@ class RememberingEstimator:
     """
 
     def __init__(
-        self, estimator: Estimator, camera: Camera, front: FrontEndSettings | None = None,
-        back: BackEndSettings | None = None,
+        self, estimator: Estimator, camera: Camera,
+        refine: Callable[[Estimate], Estimate],
+        front: FrontEndSettings | None = None, back: BackEndSettings | None = None,
     ) -> None:  # fmt: skip
         self._estimator = estimator
+        self._refine = refine
         self._front = front or FrontEndSettings()
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
@@ -168,11 +171,11 @@ class RememberingEstimator:
                 model = MotionModel.FULL
         if model is MotionModel.ROTATION:
             linear, covariance = np.zeros(3), without_travel(covariance)
-        assert isinstance(found.flow, LatticeFlow) and found.motion is not None
+        assert found.motion is not None
         turning = found.motion if by_gyro else None
         travels = model is MotionModel.FULL
         told = AdjustedMotion(state.t, adjusted.x, travels, found.motion, turning)
-        return replace(
+        estimate = replace(
             found,
             status=Status.OK,
             model=model,
@@ -180,8 +183,11 @@ class RememberingEstimator:
             angular=angular,
             covariance=covariance,
             motion=told,
-            flow=self._bent(found.flow, told),
         )
+        refined = estimate if by_gyro else self._refine(estimate)
+        if isinstance(refined.flow, LatticeFlow):
+            refined = replace(refined, flow=self._bent(refined.flow, told))
+        return refined
 
     def _bent(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
         """Add to a flow how the rotation in the window's middle differs from its mean.

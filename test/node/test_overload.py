@@ -159,7 +159,8 @@ def test_who_wants_every_window_gets_them_later(monkeypatch):
 
 def test_more_events_than_are_used_are_counted_as_they_came_and_do_not_cross(monkeypatch):
     """100 events per ms may stay of 400, 1000 in 10 ms; the worker is twice too slow."""
-    bench = Overload(monkeypatch, service_ms=2 * STRIDE_MS, estimator__max_events=1000)
+    few = {"estimator__max_events": 1000, "estimator__tracked_events": 1000}
+    bench = Overload(monkeypatch, service_ms=2 * STRIDE_MS, **few)
     bench.play(500, per_message=400)
     counts = bench.counts
     assert counts["events"] == 500 * 400

@@ -1,0 +1,78 @@
+"""The flow of a window fitted once more, now that its motion is known.
+
+A window alone shows motion and flow together, and errors of one go into the other. The memory of
+positions knows the motion better: with it a static point's flow has one unknown, its depth.
+"""
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.belief import INFORMATION_EXCESS, KnownRotation, MotionPrior
+from emoflow_ros.core.camera_motion import CONTROL_POINTS
+from emoflow_ros.core.egomotion import Motion
+from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.lattice_fit import LatticeFit
+from emoflow_ros.core.window_events import WindowEvents
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+
+_STEPS = 3  # at full resolution
+_STIFFER = 10.0  # weight of the epipolar constraint over that of the first fit
+_TIMES = 9  # at which the motion is read
+_LEAST = 1e-9  # variance, rad^2 per window^2
+
+
+def refined(fit: LatticeFit, events: WindowEvents, estimate: Estimate) -> F32 | None:
+    """Fit a flow again from where a fit is, which stays as it is.
+
+    Args:
+        fit: of the window, with a motion.
+        events: of the window.
+        estimate: of the window, with the motion that is known.
+
+    Returns:
+        (columns, rows, times, 2) px per window; None if there is no best flow.
+    """
+    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+    assert estimate.motion is not None and fit.motion is not None
+    times = np.linspace(estimate.t_start, estimate.t_end, _TIMES).astype(np.int64)
+    w = seconds * np.array([estimate.motion.angular(int(t)) for t in times])
+    of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)
+    again = copy(fit)
+    again.known = KnownRotation.seen(w, of_w)
+    again.straight = False
+    again.config = replace(fit.config, dec_weight=_STIFFER * fit.config.dec_weight)
+    points = again.known.control_points()
+    prior = None
+    if estimate.translation_observable:
+        v = np.tile(estimate.linear, (CONTROL_POINTS, 1))
+        again.motion, again.front = Motion(points, v, fit.motion.speed), 1.0
+        prior = _prior(w[_TIMES // 2], estimate, seconds)
+    else:
+        again.motion = replace(fit.motion, w=points)
+    try:
+        for _ in range(_STEPS):
+            again.linearise(events, 1.0)
+            if prior is None:
+                again.step_rotation()
+            else:
+                again.step_coupled(prior)
+    except np.linalg.LinAlgError:
+        return None
+    return again.flow if np.isfinite(again.flow).all() else None
+
+
+def _prior(w: Array, estimate: Estimate, seconds: float) -> MotionPrior:
+    """What is known of (w, v) in the middle of the window."""
+    order = np.r_[3:6, 0:3]
+    covariance = estimate.covariance[np.ix_(order, order)].copy()
+    covariance[3:, 3:] += np.outer(estimate.linear, estimate.linear)
+    unit = np.repeat([seconds, 1.0], 3)
+    covariance = covariance * np.outer(unit, unit) + _LEAST * np.eye(6)
+    information = INFORMATION_EXCESS * np.linalg.inv(covariance)
+    return MotionPrior(np.concatenate([w, estimate.linear]), information)
