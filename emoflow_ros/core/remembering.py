@@ -184,7 +184,8 @@ class RememberingEstimator:
             covariance=covariance,
             motion=told,
         )
-        refined = estimate if by_gyro else self._refine(estimate)
+        settled = (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s
+        refined = self._refine(estimate) if settled and not by_gyro else estimate
         if isinstance(refined.flow, LatticeFlow):
             refined = replace(refined, flow=self._bent(refined.flow, told))
         return refined

@@ -136,7 +136,8 @@ def test_a_filter_comes_nearer_to_the_truth_than_the_stream(
     assert sum(ratio < 1 for ratio in ratios) >= 6
     directions = np.concatenate([d for *_, d in found if d])
     assert len(directions) > 10
-    assert rms(directions[:, 1]) < rms(directions[:, 0])
+    raw, filtered = np.median(directions, axis=0)  # some have the wrong sign, which no filter mends
+    assert filtered < raw
 
 
 def test_with_a_gyro_at_10_hz_it_is_better_still(

@@ -45,6 +45,7 @@ class BackEndSettings:
         revision_share: of the newest revision in their mean.
         usual_revision, most_revision: before the first one, and at most.
         widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
+        settled_s: that the nodes reach back before the flow is fitted again with their motion, s.
         steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
         promising: cost after these over the least so far up to which a guess is adjusted further.
@@ -82,6 +83,7 @@ class BackEndSettings:
     usual_revision: float = 0.1
     most_revision: float = 2.0
     widest_direction_deg: float = 60.0
+    settled_s: float = 0.3
     steps: int = 5
     rotation_steps: int = 6
     guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
