@@ -28,7 +28,7 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import Slice, SliceEvents, draw
+from emoflow_ros.core.front_end.slices import Slice, SliceEvents, drawn, sharpness
 from emoflow_ros.core.scene import Grid, depths_now, expected_places, rigid_flow
 
 Array = NDArray[np.float64]
@@ -137,7 +137,8 @@ class Odometry:
         return self._window(replace(ahead, patches=patches), events.t, hint), picture
 
     def _begin(self, state: State, events: SliceEvents, hint: Hint) -> tuple[State, Slice]:
-        picture = draw(events, hint.flow, self.camera.size)
+        size = self.camera.size
+        picture = Slice.of(events.t, drawn(events, hint.flow, size), hint.flow)
         velocity = self.back.start_speed * hint.direction
         state = replace(
             state,
@@ -165,16 +166,16 @@ class Odometry:
 
         Without the comparison a wrong memory would see what it expects.
         """
-        by_lattice = draw(events, hint.flow, self.camera.size)
-        x, patches = state.x, state.patches
+        size, x, patches = self.camera.size, state.x, state.patches
+        by_lattice = drawn(events, hint.flow, size)
         if place is None or x is None:
-            return by_lattice, False
+            return Slice.of(events.t, by_lattice, hint.flow), False
         depths = depths_now(patches, x, self.back.depths)
         flow = rigid_flow(self.grid, place, depths, patches.shown, x.angular[-1], x.velocity[-1])
-        by_scene = draw(events, flow, self.camera.size)
-        if by_scene.sharpness > self.front.own_sharpness * by_lattice.sharpness:
-            return by_scene, True
-        return by_lattice, False
+        by_scene = drawn(events, flow, size)
+        if sharpness(by_scene) > self.front.own_sharpness * sharpness(by_lattice):
+            return Slice.of(events.t, by_scene, flow), True
+        return Slice.of(events.t, by_lattice, hint.flow), False
 
     def _window(self, state: State, t: int, hint: Hint) -> State:
         """Add a node's time, and forget nodes that are too many."""

@@ -21,7 +21,7 @@ from emoflow_ros.core.estimate import (
 )
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import GRID_PX, SliceEvents
+from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _BEND_TIMES = 9  # at which the rotation over a window is read
+_STEP_NS = NS_PER_MS  # over which a flow's velocity is taken
 _LONGEST_GAP_NS = 300 * NS_PER_MS  # between slices; after a longer one the memory begins anew
 
 
@@ -79,6 +80,7 @@ class RememberingEstimator:
         self._front = front or FrontEndSettings()
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
+        self._grid = grid_nodes(self.image.camera.size).reshape(-1, 2) * self.image.sensor_px
         self._nodes: Array | None = None
         self.reset()
 
@@ -133,14 +135,9 @@ class RememberingEstimator:
 
     def _on_grid(self, flow: FlowSampler, t: int) -> F32:
         """Flow at a time on the tracking image's grid, (rows, columns, 2) px/s of that image."""
-        dense = flow.velocity(t)
-        height, width = dense.shape[:2]
-        rows, columns = self._odometry.grid.a.shape[:2]
-        side_x, side_y = self.image.camera.size
-        x = np.minimum(np.arange(columns) * GRID_PX, side_x - 1) * ((width - 1) / (side_x - 1))
-        y = np.minimum(np.arange(rows) * GRID_PX, side_y - 1) * ((height - 1) / (side_y - 1))
-        chosen = dense[np.round(y).astype(int)[:, None], np.round(x).astype(int)]
-        return np.ascontiguousarray(chosen / self.image.sensor_px, np.float32)
+        after = flow.tracks(self._grid, [t, t + _STEP_NS])[1]
+        velocity = (after - self._grid) * (NS_PER_S / _STEP_NS) / self.image.sensor_px
+        return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
     def _measured(self, found: Estimate) -> Measured:
         spread = np.radians(self._odometry.back.lattice_sd_deg)

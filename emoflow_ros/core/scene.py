@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.front_end.patches import Patches
-from emoflow_ros.core.front_end.slices import GRID_PX, grid_size
+from emoflow_ros.core.front_end.slices import GRID_PX, grid_nodes
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -27,17 +26,29 @@ class Grid:
 
     Attributes:
         a, b: (rows, columns, 2, 3).
+        spreads: matrices (rows, rows) and (columns, columns) that spread values over the nodes,
+            of each of the Gaussians.
     """
 
     a: Array
     b: Array
+    spreads: tuple[tuple[Array, Array], ...]
 
     @classmethod
     def of(cls, camera: Camera) -> "Grid":
         """Nodes GRID_PX apart; where the lens has no inverse, as in the middle of the image."""
-        rows, columns = grid_size(*camera.size)
-        nodes = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) * float(GRID_PX)
-        return cls(*motion_field(camera, np.minimum(nodes, np.array(camera.size) - 1.0)))
+        nodes = grid_nodes(camera.size)
+        spreads = tuple(
+            (_spread(nodes.shape[0], sigma), _spread(nodes.shape[1], sigma))
+            for sigma, _ in _SPREADS
+        )
+        return cls(*motion_field(camera, nodes), spreads)
+
+
+def _spread(count: int, sigma: float) -> Array:
+    """Normalised Gaussian (count, count) of the distance between nodes."""
+    apart = np.arange(count) - np.arange(count)[:, None]
+    return np.exp(-0.5 * (apart / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
 
 
 def motion_field(camera: Camera, points: Array) -> tuple[Array, Array]:
@@ -66,13 +77,15 @@ def rigid_flow(
     rows, columns = grid.a.shape[:2]
     chosen = shown & np.isfinite(depths)
     node = np.clip(np.round(place[chosen] / GRID_PX).astype(int), 0, [columns - 1, rows - 1])
-    total, count = np.zeros((rows, columns)), np.zeros((rows, columns))
-    np.add.at(total, (node[:, 1], node[:, 0]), depths[chosen])
-    np.add.at(count, (node[:, 1], node[:, 0]), 1.0)
-    above, below = np.full((2, rows, columns), 1e-6)
-    for sigma, weight in _SPREADS:
-        above = above + weight * gaussian_filter(total, sigma, mode="constant")
-        below = below + weight * gaussian_filter(count, sigma, mode="constant")
+    index = node[:, 1] * columns + node[:, 0]
+    found = np.stack([  # sums of depths, and their numbers
+        np.bincount(index, weight, rows * columns).reshape(rows, columns)
+        for weight in (depths[chosen], None)
+    ])  # fmt: skip
+    above, below = 1e-6 + sum(
+        weight * (by_row @ found @ by_column)
+        for (_, weight), (by_row, by_column) in zip(_SPREADS, grid.spreads, strict=True)
+    )
     inverse_depth = (above / below)[..., None]
     return (grid.b @ angular + inverse_depth * (grid.a @ linear)).astype(np.float32)
 

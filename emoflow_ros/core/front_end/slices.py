@@ -55,31 +55,42 @@ class Slice:
         full, half: at full and at half resolution. Pixel (x, y) of the half lies at
             (2 x + 0.5, 2 y + 0.5) of the full.
         flow: (rows, columns, 2) px/s, that the events were moved along, at nodes GRID_PX apart.
-        sharpness: sum of the squares of the full image.
     """
 
     t: int
     full: Picture
     half: Picture
     flow: F32
-    sharpness: float
+
+    @classmethod
+    def of(cls, t: int, image: F32, flow: F32) -> "Slice":
+        """Look at a drawn image (h, w) at both scales."""
+        return cls(t, Picture.of(image), Picture.of(halve(image)), flow)
 
 
-def grid_size(width: int, height: int) -> tuple[int, int]:
-    """Rows and columns of the nodes of a flow that cover an image."""
-    return -(-(height - 1) // GRID_PX) + 1, -(-(width - 1) // GRID_PX) + 1
+def grid_nodes(size: tuple[int, int]) -> NDArray[np.float64]:
+    """Nodes (rows, columns, 2) px of a flow that cover an image; the last ones on its border.
+
+    Args:
+        size: width and height of the image.
+    """
+    x, y = (np.arange(-(-(side - 1) // GRID_PX) + 1) * float(GRID_PX) for side in size)
+    return np.minimum(np.stack(np.meshgrid(x, y), axis=-1), np.array(size) - 1.0)
 
 
-def draw(events: SliceEvents, flow: F32, size: tuple[int, int]) -> Slice:
-    """Draw events moved along a flow to the slice's middle.
+def drawn(events: SliceEvents, flow: F32, size: tuple[int, int]) -> F32:
+    """Draw events moved along a flow to the slice's middle, (h, w).
 
     Args:
         events: of the slice.
         flow: (rows, columns, 2) px/s at nodes GRID_PX apart.
         size: width and height of the working image.
     """
-    image = draw_signed(
+    return draw_signed(
         events.x, events.y, events.dt, events.sign, flow, GRID_PX, size[0], size[1], _TAPS
     )
-    small = halve(image)
-    return Slice(events.t, Picture.of(image), Picture.of(small), flow, float((image**2).sum()))
+
+
+def sharpness(image: F32) -> float:
+    """Sum of the squares of an image."""
+    return float(np.vdot(image, image))

@@ -9,12 +9,11 @@ from scipy.ndimage import gaussian_filter, shift
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.front_end.patches import Patches, choose, follow, looked_up, on_plane
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slice_kernels import halve
-from emoflow_ros.core.front_end.slices import Picture, Slice, grid_size
+from emoflow_ros.core.front_end.slices import Slice, grid_nodes
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 SETTINGS = FrontEndSettings()
-ROWS, COLUMNS = grid_size(*CAMERA.size)
+ROWS, COLUMNS = grid_nodes(CAMERA.size).shape[:2]
 
 
 def texture(seed: int = 0) -> np.ndarray:
@@ -25,7 +24,7 @@ def texture(seed: int = 0) -> np.ndarray:
 def slice_of(image: np.ndarray, t: int = 0, flow: tuple[float, float] = (10.0, 0.0)) -> Slice:
     image = np.ascontiguousarray(image, np.float32)
     grid = np.tile(np.array(flow, np.float32), (ROWS, COLUMNS, 1))
-    return Slice(t, Picture.of(image), Picture.of(halve(image)), grid, float((image**2).sum()))
+    return Slice.of(t, image, grid)
 
 
 def moved(image: np.ndarray, x: float, y: float) -> np.ndarray:

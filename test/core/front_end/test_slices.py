@@ -5,11 +5,18 @@ import pytest
 
 from emoflow_ros.core.events import NS_PER_MS, Events
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import SliceEvents, draw, grid_size
+from emoflow_ros.core.front_end.slices import (
+    GRID_PX,
+    Slice,
+    SliceEvents,
+    drawn,
+    grid_nodes,
+    sharpness,
+)
 from emoflow_ros.core.front_end.slicing import slices
 
 SIZE = (96, 64)
-ROWS, COLUMNS = grid_size(*SIZE)
+ROWS, COLUMNS = grid_nodes(SIZE).shape[:2]
 SPEED = 60.0  # px/s
 
 
@@ -22,31 +29,33 @@ def moving_edge(sign: float = 1.0) -> SliceEvents:
     return SliceEvents(0, x, y, dt, np.full(3000, sign, np.float32))
 
 
+def image_along(u: float, sign: float = 1.0) -> np.ndarray:
+    return drawn(moving_edge(sign), constant_flow(u), SIZE)
+
+
 def constant_flow(u: float, v: float = 0.0) -> np.ndarray:
     return np.tile(np.array([u, v], np.float32), (ROWS, COLUMNS, 1))
 
 
 def test_events_along_the_true_flow_lie_where_the_edge_is_in_the_middle():
-    picture = draw(moving_edge(), constant_flow(SPEED), SIZE)
-    columns = picture.full.image.sum(axis=0)
+    columns = image_along(SPEED).sum(axis=0)
     assert columns @ np.arange(SIZE[0]) / columns.sum() == pytest.approx(40, abs=0.02)
     assert columns.sum() == pytest.approx(3000, rel=1e-3)
     assert columns[37:44].sum() == pytest.approx(3000, rel=1e-3)
 
 
 def test_the_true_flow_is_the_sharpest():
-    sharpness = [draw(moving_edge(), constant_flow(u), SIZE).sharpness for u in (0, 30, 60, 90)]
-    assert sharpness[2] == max(sharpness)
-    assert sharpness[2] > 2 * sharpness[0]
+    sharp = [sharpness(image_along(u)) for u in (0, 30, 60, 90)]
+    assert sharp[2] == max(sharp)
+    assert sharp[2] > 2 * sharp[0]
 
 
 def test_off_events_are_negative():
-    on, off = (draw(moving_edge(s), constant_flow(SPEED), SIZE).full.image for s in (1.0, -1.0))
-    assert np.array_equal(on, -off)
+    assert np.array_equal(image_along(SPEED), -image_along(SPEED, sign=-1.0))
 
 
 def test_the_half_image_is_the_mean_of_the_full_one():
-    picture = draw(moving_edge(), constant_flow(SPEED), SIZE)
+    picture = Slice.of(0, image_along(SPEED), constant_flow(SPEED))
     columns = picture.half.image.sum(axis=0)
     assert 4 * columns.sum() == pytest.approx(3000, rel=0.02)
     middle = columns @ np.arange(len(columns)) / columns.sum()
@@ -54,8 +63,14 @@ def test_the_half_image_is_the_mean_of_the_full_one():
 
 
 def test_events_carried_off_the_image_are_left_out():
-    picture = draw(moving_edge(), constant_flow(1e6), SIZE)
-    assert np.abs(picture.full.image).sum() < 30
+    assert np.abs(image_along(1e6)).sum() < 30
+
+
+def test_the_nodes_of_a_flow_cover_the_image():
+    nodes = grid_nodes(SIZE)
+    assert nodes.shape == (9, 13, 2)
+    assert nodes[1, 2].tolist() == [2 * GRID_PX, GRID_PX]
+    assert nodes[-1, -1].tolist() == [95, 63]
 
 
 def stream(seconds: float = 0.3) -> Events:
