@@ -10,7 +10,9 @@ into --out.
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from emoflow_ros.config import load_config
 from emoflow_ros.core.bounded_windows import BoundedWindows
 from emoflow_ros.core.camera_motion import motion_matrices
 from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import NS_PER_MS, Window, WindowSlicer
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window, WindowSlicer
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
 from emoflow_ros.core.motion_windows import MotionWindows
@@ -50,19 +52,36 @@ class TrueFlowField:
     Attributes:
         material: the recording.
         instead: flow (height, width, 2) px/s where the truth is silent.
+        rendered: flows by time, ns: to render one takes long.
     """
 
     material: Material
     instead: NDArray[np.float32]
+    rendered: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
     def velocity(self, t: int) -> NDArray[np.float32]:
         """Flow at time t (ns), (height, width, 2) px/s."""
+        if t not in self.rendered:
+            self.rendered[t] = self._render(t)
+        return self.rendered[t]
+
+    def _render(self, t: int) -> NDArray[np.float32]:
         flows = self.material.truth.flows
         true = flows.displacement(t - _HALF_NS, t + _HALF_NS) if flows else None
         if true is None:
             return self.instead
         flow = true.displacement / np.float32(2 * _HALF_NS * 1e-9)
         return np.where(true.valid[..., None], flow, self.instead)
+
+    def tracks(self, points: Array, times: Sequence[int]) -> Array:
+        """Positions (len(times), N, 2) px of points (N, 2) given at times[0] (ns), step by step."""
+        positions = [points]
+        for begin, end in pairwise(times):
+            flow = self.velocity(begin)
+            height, width = flow.shape[:2]
+            x, y = np.clip(np.round(positions[-1]).astype(int), 0, [width - 1, height - 1]).T
+            positions.append(positions[-1] + flow[y, x] * ((end - begin) / NS_PER_S))
+        return np.stack(positions)
 
 
 @dataclass
@@ -89,7 +108,7 @@ def measure(material: Material) -> Errors:
     fit = LatticeEstimator(material.calibration, config.estimator)
     alone = MotionWindows(fit, material.calibration, config.window)
     lattice = BoundedWindows(CleanWindows(alone, material.calibration), config.event_budget)
-    reader = RememberingEstimator(lattice, material.calibration, lambda estimate: estimate)
+    reader = RememberingEstimator(lattice, material.calibration, lambda estimate, depths: estimate)
     memories = dict.fromkeys(("truth", "starts", "own"), reader.nothing())
     errors = Errors()
     for window in WindowSlicer(config.window).push(material.events):
@@ -137,7 +156,7 @@ def _places(
     before = int(np.abs(state.t - (state.t[-1] - _LAG_NS)).argmin())
     if before == len(state.t) - 1:
         return
-    patches = state.patches.at(state.patches.alive & state.patches.found[:, before])
+    patches = state.patches.at(state.patches.shown & state.patches.found[:, before])
     true = flows.displacement(int(state.t[before]), int(state.t[-1]))
     if true is None or not len(patches):
         return
@@ -197,7 +216,7 @@ def _table(figures: dict[str, dict[str, dict[str, float]]]) -> str:
 
 
 def _subjects(options: argparse.Namespace) -> list[Subject]:
-    simulated = random_subjects(_SEEDS, options.cache)
+    simulated = random_subjects(options.seeds, options.cache)
     independent = [s for s in shared_subjects(options.data) if s.group == "independent"]
     return [s for s in (*simulated, *independent) if not s.missing]
 
@@ -217,6 +236,7 @@ def main() -> int:
         prog="python -m benchmarks.scoreboard.ladder", description=__doc__
     )
     parser.add_argument("--data", type=Path, default=SHARED_DATA, help="other recordings")
+    parser.add_argument("--seeds", type=int, nargs="+", default=_SEEDS, help="simulated recordings")
     parser.add_argument("--out", type=Path, default=Path("out/accuracy"))
     parser.add_argument("--cache", type=Path, default=Path("out/accuracy/cache"))
     options = parser.parse_args()

@@ -26,7 +26,7 @@ from emoflow_ros.core.memory import Memory
 from emoflow_ros.core.motion_windows import MotionChange
 from emoflow_ros.core.preparation import WorkingImage, prepare
 from emoflow_ros.core.reading import EstimateReader, with_gyro
-from emoflow_ros.core.refinement import refined
+from emoflow_ros.core.refinement import Depths, refined
 from emoflow_ros.core.selection import ModelSelector
 from emoflow_ros.core.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.window_events import WindowEvents
@@ -83,10 +83,16 @@ class LatticeEstimator:
             found = self._estimate(window, measurement)
         return with_gyro(found, measurement, self.config)
 
-    def refined(self, estimate: Estimate) -> Estimate:
-        """Fit the flow of the last window again, with the motion of an estimate of it."""
+    def refined(self, estimate: Estimate, depths: Depths) -> Estimate:
+        """Fit the flow of the last window again, with the motion of an estimate of it.
+
+        Args:
+            estimate: of the window.
+            depths: of the scene, in pixels of the sensor.
+        """
+        depths = replace(depths, points=depths.points / self._image.sensor_px)
         with self._threads.limit(limits=1, user_api="blas"):
-            found = refined(self._fit, self._events, estimate)
+            found = refined(self._fit, self._events, estimate, depths)
         if found is None:
             return estimate
         flow = LatticeFlow(

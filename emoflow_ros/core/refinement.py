@@ -5,12 +5,12 @@ positions knows the motion better: with it a static point's flow has one unknown
 """
 
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.belief import INFORMATION_EXCESS, KnownRotation, MotionPrior
+from emoflow_ros.core.belief import INFORMATION_EXCESS, KnownRotation, MotionPrior, Structure
 from emoflow_ros.core.camera_motion import CONTROL_POINTS
 from emoflow_ros.core.egomotion import Motion
 from emoflow_ros.core.estimate import Estimate
@@ -24,16 +24,50 @@ F32 = NDArray[np.float32]
 _STEPS = 3  # at full resolution
 _STIFFER = 10.0  # weight of the epipolar constraint over that of the first fit
 _TIMES = 9  # at which the motion is read
-_LEAST = 1e-9  # variance, rad^2 per window^2
+_SPREAD = 0.5  # standard deviation of the distance from a node to points that count, in spacings
+_OWN_SD = 0.1  # of one point's depth, over the depth
+_LEAST = 1e-9  # variance of an angle or of an inverse depth, per window^2
 
 
-def refined(fit: LatticeFit, events: WindowEvents, estimate: Estimate) -> F32 | None:
+@dataclass(frozen=True)
+class Depths:
+    """Inverse depths that are known of points in the image.
+
+    Attributes:
+        points: (N, 2) px.
+        inverse_depth: (N,) travelled distances per second.
+    """
+
+    points: Array
+    inverse_depth: Array
+
+    def structure(self, nodes: Array, spacing: float, seconds: float) -> Structure:
+        """Spread them over nodes: certain where many points of one depth are near.
+
+        Args:
+            nodes: (M, 2) px.
+            spacing: between them, px.
+            seconds: length of the window.
+        """
+        squared = ((nodes[:, None] - self.points) ** 2).sum(axis=-1)
+        weight = np.exp(-0.5 * squared / (_SPREAD * spacing) ** 2)
+        rho = seconds * self.inverse_depth
+        number = weight.sum(axis=1)
+        mean, square = (weight @ value / np.maximum(number, 1e-9) for value in (rho, rho**2))
+        variance = np.maximum(square - mean**2, 0) + (_OWN_SD * mean) ** 2 + _LEAST
+        return Structure(mean, number / variance)
+
+
+def refined(
+    fit: LatticeFit, events: WindowEvents, estimate: Estimate, depths: Depths
+) -> F32 | None:
     """Fit a flow again from where a fit is, which stays as it is.
 
     Args:
         fit: of the window, with a motion.
         events: of the window.
         estimate: of the window, with the motion that is known.
+        depths: of the scene, in the pixels of the fit.
 
     Returns:
         (columns, rows, times, 2) px per window; None if there is no best flow.
@@ -52,6 +86,7 @@ def refined(fit: LatticeFit, events: WindowEvents, estimate: Estimate) -> F32 | 
     if estimate.translation_observable:
         v = np.tile(estimate.linear, (CONTROL_POINTS, 1))
         again.motion, again.front = Motion(points, v, fit.motion.speed), 1.0
+        again.structure = depths.structure(again.lattice.pixels, again.config.spacing_px, seconds)
         prior = _prior(w[_TIMES // 2], estimate, seconds)
     else:
         again.motion = replace(fit.motion, w=points)

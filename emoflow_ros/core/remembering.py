@@ -27,7 +27,8 @@ from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.lattice import Lattice, LatticeFlow
 from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.preparation import WorkingImage
-from emoflow_ros.core.scene import motion_field
+from emoflow_ros.core.refinement import Depths
+from emoflow_ros.core.scene import depths_now, motion_field
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class RememberingEstimator:
 
     def __init__(
         self, estimator: Estimator, camera: Camera,
-        refine: Callable[[Estimate], Estimate],
+        refine: Callable[[Estimate, Depths], Estimate],
         front: FrontEndSettings | None = None, back: BackEndSettings | None = None,
     ) -> None:  # fmt: skip
         self._estimator = estimator
@@ -182,10 +183,23 @@ class RememberingEstimator:
             motion=told,
         )
         settled = (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s
-        refined = self._refine(estimate) if settled and not by_gyro else estimate
+        refined = estimate
+        if settled and not by_gyro:
+            refined = self._refine(estimate, self._depths(state, speed, estimate))
         if isinstance(refined.flow, LatticeFlow):
             refined = replace(refined, flow=self._bent(refined.flow, told))
         return refined
+
+    def _depths(self, state: State, speed: float, estimate: Estimate) -> Depths:
+        """Depths of the patches that the newest slice shows, in the middle of the window."""
+        patches, x = state.patches, state.x
+        assert x is not None and estimate.flow is not None
+        known = patches.shown & np.isfinite(patches.inverse_depth)
+        depth = depths_now(patches, x, self._odometry.back.depths)[known]
+        newest = patches.place[known] * self.image.sensor_px
+        return Depths(
+            estimate.flow.tracks(newest, [int(state.t[-1]), estimate.t])[1], speed * depth
+        )
 
     def _bent(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
         """Add to a flow how the rotation in the window's middle differs from its mean.

@@ -9,9 +9,12 @@ from emoflow_ros.config import load_config
 from emoflow_ros.core.estimate import Estimate, MotionModel
 from emoflow_ros.core.events import Window, WindowSlicer
 from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.refinement import Depths
+from emoflow_ros.core.scene import motion_field
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 CONFIG = load_config()
+NONE = Depths(np.zeros((0, 2)), np.zeros(0))
 SURE = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])  # of (v, w)
 
 
@@ -64,7 +67,7 @@ def test_with_the_true_motion_the_flow_comes_nearer_to_the_truth(scene):
     for window in windows:
         found = estimator.estimate(window)
         flow = estimator._fit.flow
-        again = estimator.refined(told(recording, found))
+        again = estimator.refined(told(recording, found), NONE)
         assert estimator._fit.flow is flow
         before.append(error(recording, found))
         after.append(error(recording, again))
@@ -77,4 +80,39 @@ def test_a_flow_that_cannot_be_fitted_stays_as_it_was():
     found = estimator.estimate(windows[0])
     lost = told(recording, found)
     lost = replace(lost, covariance=np.full((6, 6), np.nan))
-    assert estimator.refined(lost).flow is found.flow
+    assert estimator.refined(lost, NONE).flow is found.flow
+
+
+def true_depths(recording: SimulatedRecording, t: int) -> Depths:
+    """Depths at some pixels, by the true flow: what rotation leaves of it, over the matrix A v."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(10, np.array(recording.camera.size) - 10, (200, 2)).round()
+    flow = recording.truth.flow(t)[points[:, 1].astype(int), points[:, 0].astype(int)]
+    a, b = motion_field(recording.camera, points)
+    linear, angular = Known(recording).linear(t), Known(recording).angular(t)
+    line = a @ linear
+    rho = ((flow - b @ angular) * line).sum(axis=1) / (line**2).sum(axis=1)
+    known = np.isfinite(rho)
+    return Depths(points[known], rho[known])
+
+
+def test_depths_that_are_known_help():
+    recording, windows = windows_of("calm")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    without, with_them = [], []
+    for window in windows:
+        found = told(recording, estimator.estimate(window))
+        depths = true_depths(recording, found.t)
+        without.append(error(recording, estimator.refined(found, NONE)))
+        with_them.append(error(recording, estimator.refined(found, depths)))
+    assert np.mean(with_them[2:]) < 0.9 * np.mean(without[2:])
+
+
+def test_depths_are_certain_where_points_agree():
+    nodes = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0]])
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [99.0, 0.0], [101.0, 0.0]])
+    structure = Depths(points, np.array([2.0, 2.0, 1.0, 3.0])).structure(nodes, 20.0, 0.5)
+    assert structure.inverse_depth[:2] == pytest.approx([1.0, 1.0])
+    assert structure.information[0] == pytest.approx(2 / 0.1**2, rel=0.01)
+    assert structure.information[1] == pytest.approx(2 / (0.5**2 + 0.1**2), rel=0.01)
+    assert structure.information[2] == pytest.approx(0.0)

@@ -63,7 +63,7 @@ class BackEndSettings:
     angular_walks_deg: tuple[float, float] = (10.0, 400.0)
     velocity_walks: tuple[float, float] = (0.3, 5.0)
     speed_sd: float = 2.0
-    depth_sd: float = 1.0
+    depth_sd: float = 2.0
     depths: tuple[float, float] = (0.01, 20.0)
     lattice_sd_deg: float = 1.5
     lattice_outlier: float = 20.0

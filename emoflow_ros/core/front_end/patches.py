@@ -19,7 +19,7 @@ F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
-_RADIUS, _RADIUS_HALF = 9, 8  # of a patch, px of its scale
+_RADIUS, _RADIUS_HALF = 12, 8  # of a patch, px of its scale
 _STEPS, _STEPS_HALF = 12, 6  # of its search at each scale
 _TENSOR_TAPS = outwards(gaussian(4.0))
 _HIGH = 0.995  # quantile that scores are measured by
