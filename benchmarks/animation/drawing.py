@@ -125,7 +125,7 @@ def chart(flight: Flight, steps: Sequence[Step], i: int) -> Image:
     _curves(left, seconds, angular, spread, true_w, has_twist, i)
     _curves(right, seconds, linear, across, true_v, has_linear, i)
     left.set(title="angular velocity, deg/s", ylim=(-far, far), xlim=(0, seconds[-1] + 0.05))
-    title = "direction of travel (bands: 2 standard deviations"
+    title = "direction of translation (bands: 2 standard deviations"
     title += "; white: truth)" if flight.twists else ")"
     right.set(title=title, ylim=(-1.2, 1.2), xlim=(0, seconds[-1] + 0.05))
     right.legend(*left.get_legend_handles_labels(), loc=(0.02, 0.66), ncols=3, frameon=False)
