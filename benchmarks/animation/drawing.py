@@ -144,6 +144,7 @@ def _curves(
         axes.plot(seconds, line, "o-", color=color, lw=1.6, ms=2.2, label=name)
         axes.plot(seconds[: i + 1], true[: i + 1, k], ".", color=TEXT, ms=2.2, alpha=0.9)
     axes.axvline(seconds[i], color=TEXT, lw=0.7, alpha=0.6)
+    axes.xaxis.set_major_formatter("{x:.1f} s")
 
 
 @mpl.rc_context(_STYLE)
