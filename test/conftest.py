@@ -117,9 +117,15 @@ def pytest_sessionfinish() -> None:
         process.wait()
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Wait until the estimator is compiled."""
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Wait until the estimator is compiled, before pytest-timeout begins to count."""
+    wait_until_compiled(item)
+    return (yield)
+
+
+def wait_until_compiled(item: pytest.Item) -> None:
+    """Wait for the first process of this run to end, unless the test needs nothing of it."""
     folder = os.environ.get(FIRST_PROCESS)
     if folder and COMPILES_NOTHING not in item.path.parts:
         with (Path(folder) / "lock").open() as lock:

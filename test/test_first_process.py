@@ -38,12 +38,12 @@ def test_a_test_waits_until_the_first_process_has_ended(
     over = threading.Event()
 
     def begin() -> None:
-        conftest.pytest_runtest_setup(item("core/a.py"))
+        conftest.wait_until_compiled(item("core/a.py"))
         over.set()
 
     with (tmp_path / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        conftest.pytest_runtest_setup(item("msg_adapters/c.py"))
+        conftest.wait_until_compiled(item("msg_adapters/c.py"))
         waiting = threading.Thread(target=begin)
         waiting.start()
         assert not over.wait(0.2)
