@@ -48,12 +48,25 @@ settings.load_profile("patient")
 sys.path.insert(0, str(ROOT / "test" / "recordings"))
 pytest_plugins = ["recording_fixtures"]
 
+# Of the first process, which compiles. What it estimates is for test_same_bits.py.
 _COMPILE = """
+import contextlib, runpy, sys
+from pathlib import Path
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.worker import _Worker
-_Worker(make_estimator)._warm_up()
+
+folder = Path(sys.argv[1])
+if _Worker(make_estimator)._warm_up()["compiled"]:
+    script = runpy.run_path("test/core/test_same_bits.py")["SCRIPT"]
+    sys.argv[1:] = ["compile", str(folder / "estimator.pickle")]
+    with (folder / "unfinished").open("w") as file, contextlib.redirect_stdout(file):
+        exec(script)
+    (folder / "unfinished").rename(folder / "digest")
 """
+FIRST_PROCESS = "EMOFLOW_TESTS_FIRST_PROCESS"  # names its folder to the processes of the tests
+COMPILES_NOTHING = "msg_adapters"  # tests of this folder need nothing of the estimator
 _locks: list[IO[str]] = []  # open for as long as this process has the domain
+_first_process: list[Any] = []  # it and its folder
 
 
 def _free_domain() -> int:
@@ -83,12 +96,40 @@ os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
 
 @pytest.hookimpl(optionalhook=True)  # of pytest-xdist
 def pytest_xdist_setupnodes() -> None:
-    """Compile the estimator in one process, before several run tests.
+    """Compile the estimator in one process, beside the tests that need nothing of it.
 
     Where two of them compile, each a part of the kernels, what they compute may differ in the last
-    digits (see contrast._load_kernels). Tests hold one process against another bit by bit.
+    digits (see contrast._load_kernels). Tests hold one process against another bit by bit. A lock
+    is held for as long as it runs.
     """
-    subprocess.run([sys.executable, "-c", _COMPILE], cwd=ROOT, check=False)
+    folder = tempfile.TemporaryDirectory(prefix="emoflow_ros_tests_")
+    os.environ[FIRST_PROCESS] = folder.name
+    with (Path(folder.name) / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        command = [sys.executable, "-c", _COMPILE, folder.name]
+        process = subprocess.Popen(command, cwd=ROOT, pass_fds=[lock.fileno()])
+    _first_process.extend([folder, process])
+
+
+def pytest_sessionfinish() -> None:
+    """Wait for it, before its folder is removed."""
+    for process in _first_process[1:]:
+        process.wait()
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Wait until the estimator is compiled, before pytest-timeout begins to count."""
+    wait_until_compiled(item)
+    return (yield)
+
+
+def wait_until_compiled(item: pytest.Item) -> None:
+    """Wait for the first process of this run to end, unless the test needs nothing of it."""
+    folder = os.environ.get(FIRST_PROCESS)
+    if folder and COMPILES_NOTHING not in item.path.parts:
+        with (Path(folder) / "lock").open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH)
 
 
 @pytest.hookimpl(optionalhook=True)  # of pytest-xdist
@@ -109,8 +150,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> "LoadFileSch
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes minutes and cannot be divided."""
-    items.sort(key=lambda item: "integration" not in item.path.parts)
+    """Begin with what compiles nothing, then with what takes minutes and cannot be divided."""
+    first = (COMPILES_NOTHING, "integration")
+    items.sort(key=lambda item: [folder not in item.path.parts for folder in first])
 
 
 @contextmanager

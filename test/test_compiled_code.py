@@ -105,8 +105,10 @@ def test_full_folder_is_left_unless_it_holds_compiled_code(
         compiled_code.choose_folder()
 
 
-@pytest.mark.parametrize("home", ["cache", "file/cache"])
-@pytest.mark.parametrize("call", ["cli import evaluate as main", "node.executable import main"])
+@pytest.mark.parametrize(
+    ("call", "home"),
+    [("cli import evaluate as main", "cache"), ("node.executable import main", "file/cache")],
+)
 def test_read_only_installation_starts_and_names_the_folder(
     tmp_path: Path, call: str, home: str
 ) -> None:

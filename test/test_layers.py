@@ -127,6 +127,17 @@ def test_a_newcomer_walks_along_imports_past_few_files(title: str) -> None:
         ), path
 
 
+def test_the_page_names_what_its_files_define() -> None:
+    """A step names functions and classes; each stands in one of the files that the step links."""
+    steps = re.findall(r"^\d+\. .*(?:\n(?!\d+\. |\n).*)*", PAGE.read_text(), re.MULTILINE)
+    assert len(steps) > 25
+    for step in steps:
+        linked = re.findall(r"\((\.\./[\w/]+\.py)\)", step)
+        text = "".join((PAGE.parent / path).read_text() for path in linked)
+        for name in re.findall(r"`(?:\w+\.)?(\w+)`", step):
+            assert re.search(rf"\b(def|class) {name}\b", text), f"{name} in {linked}"
+
+
 def test_the_page_names_what_exists_and_every_folder() -> None:
     linked = {
         (PAGE.parent / target).resolve()

@@ -125,7 +125,7 @@ def chart(flight: Flight, steps: Sequence[Step], i: int) -> Image:
     _curves(left, seconds, angular, spread, true_w, has_twist, i)
     _curves(right, seconds, linear, across, true_v, has_linear, i)
     left.set(title="angular velocity, deg/s", ylim=(-far, far), xlim=(0, seconds[-1] + 0.05))
-    title = "direction of travel (bands: 2 standard deviations"
+    title = "direction of translation (bands: 2 standard deviations"
     title += "; white: truth)" if flight.twists else ")"
     right.set(title=title, ylim=(-1.2, 1.2), xlim=(0, seconds[-1] + 0.05))
     right.legend(*left.get_legend_handles_labels(), loc=(0.02, 0.66), ncols=3, frameon=False)
@@ -144,6 +144,7 @@ def _curves(
         axes.plot(seconds, line, "o-", color=color, lw=1.6, ms=2.2, label=name)
         axes.plot(seconds[: i + 1], true[: i + 1, k], ".", color=TEXT, ms=2.2, alpha=0.9)
     axes.axvline(seconds[i], color=TEXT, lw=0.7, alpha=0.6)
+    axes.xaxis.set_major_formatter("{x:.1f} s")
 
 
 @mpl.rc_context(_STYLE)

@@ -27,7 +27,7 @@ class Row:
         sequence, method: which.
         epe_px, out_percent: mean over the windows with a flow.
         w_deg_s: error of w per window (root of the mean square over axes), then the mean.
-        v_deg: median angle between the directions of travel, sign included.
+        v_deg: median angle between the directions of translation, sign included.
         seconds: median per window.
         windows: how many have an estimate, of how many.
     """

@@ -42,8 +42,8 @@ class Errors:
         w_true: length of the scaled true angular velocity.
         w_scale: the truth's factor (a scalar), 1 unless a gyro's scale is uncertain.
         w_nees, v_nees: error squared over covariance and degrees of freedom.
-        w_sigma, v_sigma: claimed standard deviation along the error.
-        v: angle between the directions of travel, sign included, 0 to 180.
+        w_sigma, v_sigma: standard deviation, by the covariance, along the error.
+        v: angle between the directions of translation, sign included, 0 to 180.
     """
 
     w: Values
@@ -88,13 +88,13 @@ class Figures(Scores):
         w_true_rms: of the true angular velocity in the same windows, deg/s.
         w_percent: the one over the other.
         w_raw_rms, w_scale: the error without the gyro's scale, and that scale.
-        v_median, v_90: signed direction error of v where v is claimed and the true parallax
+        v_median, v_90: signed direction error of v where v is given and the true parallax
             exceeds 2 px: median and 90 % quantile, degrees.
         v_reversed: share of the same windows beyond 90 degrees.
         v_windows: how many these are.
-        v_claimed: share of the windows with an estimate and such parallax that claim v.
+        v_given: share of the windows with an estimate and such parallax that give v.
         nees_w, nees_v: mean normalised error squared, of w over all windows with an estimate, of
-            v over those that claim it and whose true parallax is at least 0.5 px.
+            v over those that give it and whose true parallax is at least 0.5 px.
         confident_wrong: share of the windows with an estimate whose w or v is confident and wrong.
         confident_wrong_w, confident_wrong_v: the same by w and by v alone.
         lost: share of the moving windows with an estimate whose EPE exceeds half of the way.
@@ -124,7 +124,7 @@ class Figures(Scores):
     v_90: float
     v_reversed: float
     v_windows: int
-    v_claimed: float
+    v_given: float
     nees_w: float
     nees_v: float
     confident_wrong: float
@@ -173,7 +173,7 @@ def figures_of(windows: Windows, gyro_scale: float = 1.0) -> Figures:
     judged = ok & np.isfinite(errors.w)
     w_rms, w_true_rms = _rms(errors.w[judged]), _rms(errors.w_true[judged])
     parallax = ok & (windows["parallax_px"] > PARALLAX_PX)
-    claims = np.isfinite(windows["linear"]).all(axis=1)
+    given = np.isfinite(windows["linear"]).all(axis=1)
     v = errors.v[parallax & np.isfinite(errors.v)]
     lost = windows["epe_px"] > LOST_SHARE * windows["truth_px"]
     return Figures(
@@ -197,7 +197,7 @@ def figures_of(windows: Windows, gyro_scale: float = 1.0) -> Figures:
         v_90=_over(lambda values: np.quantile(values, 0.9), v),
         v_reversed=_share(v > _REVERSED_DEG),
         v_windows=len(v),
-        v_claimed=_share(claims[parallax]),
+        v_given=_share(given[parallax]),
         nees_w=_mean(errors.w_nees[np.isfinite(errors.w_nees)]),
         nees_v=_mean(errors.v_nees[np.isfinite(errors.v_nees)]),
         confident_wrong=_share((errors.w_wrong | errors.v_wrong)[ok]),

@@ -105,7 +105,7 @@ def direction_gains(estimates: Array, truths: Array, covariances: Array) -> Arra
     the density has beyond the disc is shared out over it: a covariance without bound gains 0.
 
     Args:
-        estimates: (N, 3); NaN where none is claimed.
+        estimates: (N, 3); NaN where none is given.
         truths: (N, 3); NaN where unknown.
         covariances: (N, 3, 3) of the estimates.
 

@@ -2,7 +2,7 @@
 
 The rung that loses most is the one to work on. Rungs: `tracks`, how far patches are from where they
 should be, across their edges, with the true flow; `lines`, the angular velocity that places 80 ms
-apart give with the true direction of travel; `truth`, the adjustment from the true flow and
+apart give with the true direction of translation; `truth`, the adjustment from the true flow and
 motion, without the lattice's motion as evidence; `starts`, from the true flow and its own starts;
 `own`, as it runs but with all events; `lattice`, the estimate without a memory. Writes ladder.json
 into --out.

@@ -72,7 +72,7 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
         parallax = 0.0  # else it is the rounding of flow maps
     truth_px, epe_px = _flow_error(part, estimate, material, partial)
     nothing = np.full(3, np.nan)
-    claims_linear = estimate.translation_observable
+    gives_linear = estimate.translation_observable
     return {
         "t_window": window.t_start,
         "t_start": part.t_start,
@@ -88,9 +88,9 @@ def _compare(window: Window, estimate: Estimate, material: Material) -> dict[str
         "angular": estimate.angular if ok else nothing,
         "true_angular": twist.angular if twist is not None else nothing,
         "angular_covariance": estimate.covariance[3:, 3:] if ok else math.nan,
-        "linear": estimate.linear if claims_linear else nothing,
+        "linear": estimate.linear if gives_linear else nothing,
         "true_linear": _true_direction(twist, parallax),
-        "linear_covariance": estimate.covariance[:3, :3] if claims_linear else math.nan,
+        "linear_covariance": estimate.covariance[:3, :3] if gives_linear else math.nan,
     }
 
 
@@ -102,7 +102,7 @@ def _translates(twist: TrueTwist | None) -> bool:
 
 
 def _true_direction(twist: TrueTwist | None, parallax: float) -> NDArray[np.float64]:
-    """Unit direction (3,) of travel; NaN where the image cannot tell it."""
+    """Unit direction (3,) of translation; NaN where the image cannot tell it."""
     if twist is None or twist.linear is None or not parallax >= _MIN_PARALLAX_PX:
         return np.full(3, np.nan)
     return twist.linear / float(np.linalg.norm(twist.linear))

@@ -10,13 +10,13 @@ from benchmarks.scoreboard.windows import Windows
 _NS_PER_S = 1e9
 _COLORS = ("#1f5fa8", "#d07c1f")
 _AXES = ("x", "y", "z")
-_CLAIM = 2  # standard deviations that are drawn
+_BAND = 2  # standard deviations that are drawn
 
 
 def motion_figure(windows: Windows) -> Figure:
     """Draw w, v and the flow's error of both cold starts against the truth.
 
-    Bars are 2 claimed standard deviations; both starts share the truth, in black.
+    Bars are 2 standard deviations, by the covariance; both starts share the truth, in black.
     """
     figure = Figure(figsize=(11, 9), layout="constrained")
     axes: dict[str, Axes] = figure.subplot_mosaic("ad;be;cf;gg", sharex=True)
@@ -40,7 +40,7 @@ def motion_figure(windows: Windows) -> Figure:
         axes["def"[k]].set(ylabel=f"v {axis}, unit", ylim=(-1.3, 1.3))
     _draw_flow(axes["g"], windows, seconds)
     axes["a"].set_title("angular velocity")
-    axes["d"].set_title("direction of travel")
+    axes["d"].set_title("direction of translation")
     axes["a"].legend(loc="best", fontsize=8)
     for each in axes.values():
         each.grid(alpha=0.3)
@@ -61,12 +61,12 @@ def _draw(
         axis.errorbar(
             seconds[chosen],
             values[chosen],
-            _CLAIM * sigma[chosen],
+            _BAND * sigma[chosen],
             fmt="o",
             ms=3,
             lw=1,
             color=color,
-            label=f"start {start + 1}, {_CLAIM} sigma",
+            label=f"start {start + 1}, {_BAND} sigma",
         )
     order = np.argsort(seconds, kind="stable")
     axis.plot(seconds[order], true[order], color="black", lw=1.2, label="truth")

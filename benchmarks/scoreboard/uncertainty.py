@@ -1,4 +1,4 @@
-"""Errors against the covariance that an estimate claims."""
+"""Errors against the covariance of an estimate."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ def normalised_squares(errors: Array, covariances: Array) -> Array:
 
 
 def sigma_along(errors: Array, covariances: Array) -> Array:
-    """Standard deviation that is claimed along each error's own direction n: sqrt(n^T C n).
+    """Standard deviation, by the covariance, along each error's own direction n: sqrt(n^T C n).
 
     Args:
         errors: (N, D).

@@ -52,7 +52,7 @@ def judge(figures: Figures) -> Verdict:
     Accurate: `coverage`, an estimate in at least 90 % of the moving windows; `epe`, at most 0.7 px
     or 9 % of the displacement, whichever is larger; `w`, RMS error at most 2.5 deg/s or 8 % of
     RMS |w|, whichever is larger; `v`, median error at most 8 degrees where the true parallax
-    exceeds 2 px. Estimates there of which none claims v miss it.
+    exceeds 2 px. Estimates there of which none gives v miss it.
 
     Consistent: `answer`, an estimate at all where anything moves: silence has no covariance that
     could be wrong; `still`, no estimate while nothing moves, or one that its covariance covers;
@@ -62,7 +62,7 @@ def judge(figures: Figures) -> Verdict:
     """
     f = figures
     v = _at_most(f.v_median, V_DEG)
-    if v is None and f.v_claimed == 0:
+    if v is None and f.v_given == 0:
         v = False
     return Verdict(
         {

@@ -25,7 +25,7 @@ WINDOW = np.dtype(
         ("angular", np.float64, 3),  # rad/s
         ("true_angular", np.float64, 3),  # rad/s
         ("angular_covariance", np.float64, (3, 3)),
-        ("linear", np.float64, 3),  # unit direction; NaN where none is claimed
+        ("linear", np.float64, 3),  # unit direction; NaN where none is given
         ("true_linear", np.float64, 3),  # unit direction; NaN where unknown
         ("linear_covariance", np.float64, (3, 3)),
         ("seconds", np.float64),  # that the estimate took

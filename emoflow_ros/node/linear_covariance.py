@@ -17,7 +17,7 @@ def published_covariance(
     Args:
         covariance: that of the unit direction and the angular velocity, (6, 6); [0, 0] is -1 where
             translation is not observable.
-        direction: of travel, (3,), of unit length where it is observable, zeros at rest.
+        direction: of translation, (3,), of unit length where it is observable, zeros at rest.
         speed: what the direction is multiplied by, taken as exact, m/s; None: its length is no
             speed.
         form: WIDE gives the variance UNKNOWN to what nothing is known of: all of linear where

@@ -38,7 +38,7 @@ class Run:
 
 @cache
 def run(scene: str) -> Run:
-    recording = simulate(scene, duration_s=1.2, seed=0)
+    recording = simulate(scene, duration_s=1.2, seed=0, fps=500)
     estimator = make_estimator(recording.camera, CONFIG)
     windows = WindowSlicer(CONFIG.window).push(recording.events)
     return Run(recording, [estimator.estimate(window) for window in windows])

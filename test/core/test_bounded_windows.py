@@ -181,5 +181,6 @@ def test_the_time_of_the_whole_estimate_is_noted():
     seen = Seen()
     seen.seconds = 0.02
     window = WindowSlicer(BY_MOTION).push(stream(10_000, 5))[0]
+    started = time.perf_counter()
     found = BoundedWindows(seen, EventBudget(BY_MOTION, 500)).estimate(window)
-    assert 0.02 <= found.quality.runtime_s < 2
+    assert 0.02 <= found.quality.runtime_s <= time.perf_counter() - started

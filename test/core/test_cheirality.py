@@ -1,4 +1,4 @@
-"""Direction of travel with its sign, from nothing but a noisy flow: search, then cheirality.
+"""Direction of translation with its sign, from nothing but a noisy flow: search, then cheirality.
 
 The search knows a direction up to its sign; the sign is the one that puts the scene before the
 camera. Hundreds of random motions, through three lenses; the truth serves the comparison only.

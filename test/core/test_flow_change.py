@@ -16,7 +16,7 @@ CONFIG = load_config()
 
 @cache
 def estimates(scene: str) -> tuple[SimulatedRecording, list[Estimate]]:
-    recording = simulate(scene, duration_s=1.5, seed=0)
+    recording = simulate(scene, duration_s=1.5, seed=0, fps=500)
     estimator = make_estimator(recording.camera, CONFIG)
     windows = WindowSlicer(CONFIG.window).push(recording.events)
     found = [estimator.estimate(window) for window in windows]

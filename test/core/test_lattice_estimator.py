@@ -44,7 +44,7 @@ def calm() -> Run:
 
 @pytest.fixture(scope="module")
 def overlapping() -> Run:
-    """Windows that overlap, long enough to tell the direction of travel."""
+    """Windows that overlap, long enough to tell the direction of translation."""
     return run_of("calm", 0.45, WindowPolicy(duration_ms=135.0, stride_ms=45.0))
 
 

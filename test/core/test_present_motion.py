@@ -97,7 +97,7 @@ def test_without_a_direction_of_travel_only_the_rotation_is_told() -> None:
 
 
 @pytest.mark.parametrize("status", [s for s in Status if not s.told])
-def test_after_a_window_without_an_estimate_there_is_no_motion_of_now(status: Status) -> None:
+def test_after_a_window_without_an_estimate_there_is_no_latest_twist(status: Status) -> None:
     its, estimate = last("calm")
     present = its.present()
     present.know(estimate)

@@ -31,7 +31,7 @@ def calm() -> Runs:
 
 
 def warm_of(recording: SimulatedRecording, profile: str) -> list[Estimate]:
-    """The windows are the same for each, and a direction of travel is told in all of them."""
+    """The windows are the same for each, and a direction of translation is told in all of them."""
     told = load_config(profile, {"estimator.model": "full"})
     config = replace(told, window=load_config("rigid").window)
     estimator = make_estimator(recording.camera, config)

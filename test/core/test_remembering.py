@@ -1,4 +1,4 @@
-"""The estimator with a memory on simulated scenes: accuracy, honesty, determinism, bad days."""
+"""The estimator with a memory on simulated scenes: accuracy, consistency, determinism, bad days."""
 
 from dataclasses import dataclass, replace
 
@@ -31,7 +31,7 @@ class Run:
         return float(np.degrees(np.linalg.norm(e.angular - self.true_angular(e.t))))
 
     def errors(self) -> tuple[list[float], list[float]]:
-        """Errors of w (deg/s) and of the direction of travel (deg), settled windows."""
+        """Errors of w (deg/s) and of the direction of translation (deg), settled windows."""
         w, v = [], []
         for e in self.estimates[SETTLED:]:
             travel = self.recording.truth.twist(e.t)[0]

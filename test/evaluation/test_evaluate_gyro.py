@@ -86,6 +86,7 @@ def test_windows_carry_the_readings_that_are_asked_for(call, folder):
         assert {row["gyro"] for row in csv.DictReader(file)} == {"used"}
 
 
+@pytest.mark.usefixtures("without_page")
 @pytest.mark.parametrize("arguments", [(), ("--set", "imu.use=auto", "--imu", "off")])
 def test_without_wish_there_is_no_gyro(call, folder, arguments):
     code, out, _ = call(*arguments)
@@ -94,6 +95,7 @@ def test_without_wish_there_is_no_gyro(call, folder, arguments):
     assert json.loads((folder / "out" / "report.json").read_text())["imu"] is None
 
 
+@pytest.mark.usefixtures("without_page")
 def test_a_file_takes_the_place_of_the_recordings_own(call, folder, tmp_path):
     other = tmp_path / "gyro.txt"
     rows = np.loadtxt(folder / "imu.txt")
@@ -107,6 +109,7 @@ def test_a_file_takes_the_place_of_the_recordings_own(call, folder, tmp_path):
     np.testing.assert_allclose(WithGyro.seen[0][1].w, [0.2, -0.4, 0.6], atol=2e-3)
 
 
+@pytest.mark.usefixtures("without_page")
 def test_what_cannot_be_used_is_refused_in_one_line(call, folder):
     assert "not a bag: no IMU topic '/camera/imu'" in call("--imu", "/camera/imu")[2][0]
     assert "--imu none.txt: no such file; check" in call("--imu", "none.txt")[2][0]
@@ -125,6 +128,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(call, folder):
     assert "nothing to check with --imu off" in call("--check-imu", "--imu", "off")[2][0]
 
 
+@pytest.mark.usefixtures("without_page")
 def test_a_check_reports_and_leaves_the_gyro_out(call):
     code, out, _ = call("--check-imu", "--stride-ms", 20)
     assert code == 0

@@ -55,6 +55,7 @@ def write_npz(path, count, **others):
     return path
 
 
+@pytest.mark.usefixtures("without_page")
 def test_raw_file_whose_length_only_reading_tells(call, tmp_path, calib):
     path = write_raw(tmp_path / "a.raw", range(0, 100_000, 100))
     arguments = ("--calib", calib, "--window-ms", 20, "--out", tmp_path / "out")
@@ -90,6 +91,7 @@ def test_file_without_events(call, tmp_path, calib, name):
     assert errors == [f"error: {path}: holds no events; give a recording that has some"]
 
 
+@pytest.mark.usefixtures("without_page")
 def test_aedat4_file(call, tmp_path, calib):
     """200 events in 2 ms, written by dv-processing; of a DAVIS346."""
     pytest.importorskip("aedat", reason="the optional package aedat is not installed")
@@ -141,6 +143,7 @@ def test_events_txt_is_its_folder_to_info(call, ecd):
     assert told[0]["missing"] == []
 
 
+@pytest.mark.usefixtures("without_page")
 def test_events_txt_is_its_folder_to_evaluate(call, ecd, tmp_path):
     """Its calibration and its truth are found, too."""
     arguments = ("--window-ms", 50, "--out", tmp_path / "out")

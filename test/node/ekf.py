@@ -1,4 +1,4 @@
-"""A small filter of angular velocity and direction of travel, as a user of the twists has it."""
+"""A small filter of angular velocity and direction of translation, as users have it."""
 
 import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped

@@ -69,7 +69,7 @@ def test_the_worker_cuts_and_estimates_what_is_cut_and_estimated_without_it() ->
         supervisor.stop()
 
 
-def test_the_worker_estimates_the_motion_of_now_as_it_is_estimated_without_it() -> None:
+def test_the_worker_estimates_the_latest_twist_as_it_is_estimated_without_it() -> None:
     budget = EventBudget(CONFIG.window, CONFIG.estimator.max_events)
     windows = RateLimitedSlicer(budget).push(moving_dots())
     estimator, present = make_estimator(CAMERA, CONFIG), PresentMotion(CAMERA, CONFIG.estimator)

@@ -103,7 +103,7 @@ def slow_figures(windows: Windows) -> dict[str, float]:
     moving, still, covered, covered_still = 0, 0, 0, 0
     epe, way, w2, true2, nees_w, nees_v, v = [], [], [], [], [], [], []
     wrong_w = wrong_v = wrong = lost = lost_of = still_wrong = estimates = 0
-    parallax = claimed = 0
+    parallax = given = 0
     all_epe, all_way, w_known, v_known = [], [], 0, 0
     for window in windows:
         if window["moved_px"] >= 1:
@@ -136,11 +136,11 @@ def slow_figures(windows: Windows) -> dict[str, float]:
         bad_w = length > 5 and length > 3 * sigma
         still_wrong += rests and length > 1 and length > 3 * sigma
         bad_v = False
-        claims = not math.isnan(window["linear"][0])
+        gives = not math.isnan(window["linear"][0])
         if window["parallax_px"] > 2:
             parallax += 1
-            claimed += claims
-        if claims and not math.isnan(window["true_linear"][0]):
+            given += gives
+        if gives and not math.isnan(window["true_linear"][0]):
             angle, nees, sigma_v = _direction(window)
             nees_v.append(nees)
             bad_v = angle > 20 and angle > 3 * sigma_v
@@ -169,7 +169,7 @@ def slow_figures(windows: Windows) -> dict[str, float]:
         "v_median": (v[(len(v) - 1) // 2] + v[len(v) // 2]) / 2,
         "v_reversed": 100 * sum(a > 90 for a in v) / len(v),
         "v_windows": len(v),
-        "v_claimed": 100 * claimed / parallax,
+        "v_given": 100 * given / parallax,
         "nees_w": sum(nees_w) / len(nees_w),
         "nees_v": sum(nees_v) / len(nees_v),
         "confident_wrong": 100 * wrong / estimates,
@@ -181,7 +181,7 @@ def slow_figures(windows: Windows) -> dict[str, float]:
 
 
 def _direction(window: np.void) -> tuple[float, float, float]:
-    """Angle (deg), NEES and claimed sigma (deg) of v, with another basis of the tangent plane."""
+    """Angle (deg), NEES and sigma (deg) of v, with another basis of the tangent plane."""
     estimate, true = window["linear"], window["true_linear"]
     angle = math.acos(max(-1.0, min(1.0, sum(estimate[i] * true[i] for i in range(3)))))
     helper = np.eye(3)[int(np.argmin(np.abs(estimate)))]

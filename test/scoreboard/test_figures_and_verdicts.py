@@ -124,7 +124,7 @@ def test_w_is_settled_once_it_stays_good_from_both_starts():
         ("w", {"w_rms": 2.5, "w_true_rms": 10.0}, {"w_rms": 2.51, "w_true_rms": 10.0}),
         ("w", {"w_rms": 8.0, "w_true_rms": 100.0}, {"w_rms": 8.01, "w_true_rms": 100.0}),
         ("v", {"v_median": 8.0}, {"v_median": 8.1}),
-        ("v", {"v_median": NAN, "v_claimed": NAN}, {"v_median": NAN, "v_claimed": 0.0}),
+        ("v", {"v_median": NAN, "v_given": NAN}, {"v_median": NAN, "v_given": 0.0}),
         ("answer", {"estimates": 1}, {"estimates": 0}),
         ("still", {"still_wrong": 0.0}, {"still_wrong": 0.1}),
         ("nees", {"nees_w": 3.0, "nees_v": 0.3}, {"nees_w": 3.0, "nees_v": 0.29}),

@@ -86,7 +86,7 @@ def test_a_perfect_direction_gains_what_its_covariance_says():
 @pytest.mark.parametrize("factor", [0.3, 1.0, 30.0])
 def test_the_density_of_directions_is_one_over_the_sphere(factor):
     """The mean over the sphere of the density over that of no knowledge, 2^gain, is 1."""
-    n = 100_000
+    n = 10_000
     z, turn = 1 - (2 * np.arange(n) + 1) / n, np.arange(n) * math.pi * (3 - math.sqrt(5))
     truths = np.stack([np.cos(turn) * np.sqrt(1 - z**2), np.sin(turn) * np.sqrt(1 - z**2), z], 1)
     estimates, covariances = np.tile(AHEAD, (n, 1)), np.tile(factor * UNEQUAL, (n, 1, 1))

@@ -45,21 +45,31 @@ def outcomes():
     ]
 
 
-def test_the_report_links_to_the_worst(tmp_path: Path, outcomes, monkeypatch):
-    monkeypatch.setattr(report, "WORST", 2)
-    document = summarise(outcomes, load_config(), ["real/gone (/nowhere)"], 0.0)
-    path = report.write_report(tmp_path, outcomes, document)
-    page = path.read_text()
+@pytest.fixture(scope="module")
+def document(outcomes):
+    return summarise(outcomes, load_config(), ["real/gone (/nowhere)"], 0.0)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, outcomes, document):
+    """The report's page, with pages of the two worst recordings: each takes a second to draw."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "WORST", 2)
+        return report.write_report(tmp_path_factory.mktemp("report"), outcomes, document)
+
+
+def test_the_report_links_to_the_worst(written: Path, outcomes):
+    page = written.read_text()
     links = set(re.findall(r'href="(pages/[^"]+)"', page))
     assert len(links) == 2
-    assert all((tmp_path / link).exists() for link in links)
+    assert all((written.parent / link).exists() for link in links)
     assert "real/gone" in page
     assert page.count('<td class="picture">') == len(outcomes)
     assert not any("good" in link for link in links)
 
 
-def test_the_table_names_what_is_missed_and_missing(outcomes):
-    text = table(summarise(outcomes, load_config(), ["real/gone (/nowhere)"], 0.0))
+def test_the_table_names_what_is_missed_and_missing(document):
+    text = table(document)
     lines = text.splitlines()
     assert len([line for line in lines if line.startswith("random/")]) == 2 * 12
     assert "missing: real/gone (/nowhere)" in lines
@@ -93,10 +103,11 @@ def test_scores_are_the_first_table(outcomes):
     ] * 2
 
 
-def test_scores_are_the_first_table_of_the_report_and_of_its_json(tmp_path: Path, outcomes):
-    document = summarise(outcomes, load_config(), [], 0.0)
+def test_scores_are_the_first_table_of_the_report_and_of_its_json(
+    written: Path, outcomes, document
+):
     assert list(document).index("scores") < list(document).index("rates")
-    page = report.write_report(tmp_path, outcomes, document).read_text()
+    page = written.read_text()
     first = page[page.index("<table") : page.index("</table>")]
     cells = [re.sub(r"<[^>]*>", " ", line).split() for line in first.splitlines() if "<td" in line]
     assert len(cells) == 2 * len(document["scores"]) + len(outcomes)
