@@ -40,6 +40,17 @@ class GyroSettings:
         units: relative error of a scale up to which it looks like wrong units.
         compared, fewest_compared: windows in which gyro and events are compared.
         better: share of the given axes' squared residual that other axes may leave.
+        clock_windows: of which the one whose readings are nearest counts: the others waited.
+        apart_ns: a difference between readings and events that is no delay of messages, ns: a busy
+            node lets events wait for 0.2 s.
+        confirmed_apart_ns: the same where the messages' stamps confirm it.
+        beyond_ns: that an offset is looked for beyond the largest that is taken, ns.
+        coarse_ns, fine_ns: steps of the search, ns. What two halves of the windows say may be one
+            coarse step apart.
+        near_ns: around the best offset, ns.
+        clock_compared, clock_fewest: windows that are compared for it, at most and at least.
+        explained: share of the turning's square, by the best offset.
+        elsewhere: what all offsets leave that are not near it, over what it leaves.
     """
 
     reach_ns: int = 30_000_000
@@ -69,6 +80,17 @@ class GyroSettings:
     compared: int = 60
     fewest_compared: int = 8
     better: float = 0.5
+    clock_windows: int = 20
+    apart_ns: int = 300_000_000
+    confirmed_apart_ns: int = 100_000_000
+    beyond_ns: int = 50_000_000
+    coarse_ns: int = 5_000_000
+    fine_ns: int = 500_000
+    near_ns: int = 60_000_000
+    clock_compared: int = 90
+    clock_fewest: int = 30
+    explained: float = 0.7
+    elsewhere: float = 1.5
 
 
 GYRO = GyroSettings()
