@@ -16,25 +16,11 @@ from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.core.preparation import reduction
+from emoflow_ros.core.stream_settings import STREAM
 
 Array = NDArray[np.float64]
 
-_BLOCK_PX = 8  # side of a block, px of the working image
-_WAY_PX = 4.0  # that a scene is gauged over: a longer one would leave its block
-_LONGEST_PX = 6.0  # way of a window from which only its latest part counts
-_SHORTEST_PX = 0.5  # a shorter one tells too little
-_GRID_PX = 16  # distance between the points whose speed counts, px of the sensor
-_STEP_NS = NS_PER_MS  # over which the speed is taken
-_SURE = 3.0  # standard deviations
-_FEWEST_OF_EDGES = 1000  # events
-_EDGES = 4.0  # variance over that by chance from which there are edges
-_FEWEST = 20  # events of a window from a sensor that works
-REST_PX_S = 3.0  # up to which a camera is at rest
-_DEPTH_M = 3.0  # of the scene, to tell the speed of a camera at rest in m/s
-_LEAST_PX_S = 0.5  # speed that is never excluded
-# Scatter per px of the working image and px^2 of the sensor in a block: 0.04 to 0.5 in 12 random
-# recordings.
-_SUPPOSED = 0.03
+_STEP_NS = NS_PER_MS  # over which a speed is taken
 _LEVER = 0.19  # mean distance of the image's points from its centre, over width + height
 
 
@@ -53,8 +39,8 @@ class Gauge:
     @classmethod
     def supposed(cls, camera: Camera) -> "Gauge":
         """Take a scene that leaves fewer events than most do: it bounds the speed loosely."""
-        side = round(_BLOCK_PX * reduction(camera))
-        return cls(camera, _SUPPOSED * side**2)
+        side = round(STREAM.block_px * reduction(camera))
+        return cls(camera, STREAM.supposed * side**2)
 
     @classmethod
     def measured(cls, camera: Camera, window: Window, estimate: Estimate) -> "Gauge | None":
@@ -70,16 +56,18 @@ class Gauge:
         """
         flow = estimate.flow
         assert flow is not None
-        columns = np.arange(_GRID_PX // 2, camera.width, _GRID_PX)
-        rows = np.arange(_GRID_PX // 2, camera.height, _GRID_PX)
+        columns = np.arange(STREAM.grid_px // 2, camera.width, STREAM.grid_px)
+        rows = np.arange(STREAM.grid_px // 2, camera.height, STREAM.grid_px)
         grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
         moved = flow.tracks(grid, [estimate.t, estimate.t + _STEP_NS])[1] - grid
         px_s = float(np.median(np.linalg.norm(moved, axis=1))) / reduction(camera)
         px_s *= NS_PER_S / _STEP_NS
-        seconds = min((estimate.t_end - estimate.t_start) / NS_PER_S, _WAY_PX / max(px_s, 1e-9))
+        seconds = min(
+            (estimate.t_end - estimate.t_start) / NS_PER_S, STREAM.way_px / max(px_s, 1e-9)
+        )
         part = window.since(estimate.t_end - round(seconds * NS_PER_S))
         per_px = scatter(part.events, camera, surely=True) / max(px_s * seconds, 1e-9)
-        if px_s * seconds < _SHORTEST_PX or per_px == 0:
+        if px_s * seconds < STREAM.shortest_px or per_px == 0:
             return None
         return cls(camera, per_px)
 
@@ -97,12 +85,12 @@ class Gauge:
         if not works(window.events):
             return None
         way = scatter(window.events, self.camera, surely=False) / self.per_px
-        if way > _LONGEST_PX:
-            latest = round(window.duration * NS_PER_S * _WAY_PX / way)
+        if way > STREAM.longest_px:
+            latest = round(window.duration * NS_PER_S * STREAM.way_px / way)
             later = self.speed(window.since(window.t_end - latest))
             if later is not None:
                 return later
-        return max(way / window.duration, _LEAST_PX_S)
+        return max(way / window.duration, STREAM.least_px_s)
 
     def rotation_covariance(self, speed: float) -> Array:
         """Covariance (3, 3), (rad/s)^2, of w = 0 where the image moves at a speed at most."""
@@ -115,7 +103,7 @@ class Gauge:
         """Covariance (6, 6) of (linear, angular) at rest: (m/s)^2 and (rad/s)^2."""
         covariance = np.zeros((6, 6))
         covariance[3:, 3:] = of_w = self.rotation_covariance(speed)
-        covariance[:3, :3] = _DEPTH_M**2 * of_w[0, 0] * np.eye(3)
+        covariance[:3, :3] = STREAM.depth_m**2 * of_w[0, 0] * np.eye(3)
         return covariance
 
 
@@ -130,33 +118,33 @@ def scatter(events: Events, camera: Camera, *, surely: bool) -> float:
     number, squares = _in_blocks(events, camera)
     by_chance = squares / len(number)
     error = np.sqrt((by_chance + 2 * by_chance**2) / len(number))
-    excess = float(number.var()) - by_chance + (-_SURE * error if surely else error)
+    excess = float(number.var()) - by_chance + (-STREAM.sure * error if surely else error)
     return float(np.sqrt(max(0.0, excess)))
 
 
 def works(events: Events) -> bool:
     """Tell whether a sensor works: one that sends hardly an event may be blind."""
-    return events.came >= _FEWEST
+    return events.came >= STREAM.fewest
 
 
 def structured(events: Events, camera: Camera) -> bool:
     """Tell whether events show edges. Noise scatters by chance, or, in pairs, by twice that."""
-    if len(events) < _FEWEST_OF_EDGES:
+    if len(events) < STREAM.fewest_of_edges:
         return False
     number, squares = _in_blocks(events, camera)
-    return float(number.var()) > _EDGES * squares / len(number)
+    return float(number.var()) > STREAM.edges * squares / len(number)
 
 
 def covered(events: Events, camera: Camera) -> float:
     """Share of the image's blocks that hold an event for every fourth pixel at least."""
-    side = round(_BLOCK_PX * reduction(camera))
+    side = round(STREAM.block_px * reduction(camera))
     number, _ = _in_blocks(events, camera)
     return float((number >= side**2 / 4).mean())
 
 
 def _in_blocks(events: Events, camera: Camera) -> tuple[Array, float]:
     """Count the events (N,) of the image's N whole blocks, and sum the squares of their weights."""
-    side = round(_BLOCK_PX * reduction(camera))
+    side = round(STREAM.block_px * reduction(camera))
     columns, rows = camera.width // side, camera.height // side
     x, y = events.x // side, events.y // side
     inside = (x < columns) & (y < rows)

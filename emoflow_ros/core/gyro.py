@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.gyro_checks import (
+    UNLIKELY_3,
     FreezeWatch,
     GyroFault,
     GyroState,
@@ -16,37 +17,11 @@ from emoflow_ros.core.gyro_checks import (
 )
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeasurement, GyroReadings, Shape, fit_shape
+from emoflow_ros.core.gyro_settings import GYRO
 
 Array = NDArray[np.float64]
 
 _NS_PER_S = 1e9
-_CLOCK_S = 0.5e-3  # standard deviation of the offset between the clocks, s
-# Standard deviation of the difference between events and gyro although both are right, because of
-# the calibration and the choice of the window: a constant, and a share of the angular velocity.
-_FLOOR = math.radians(0.3)  # rad/s
-_RELATIVE_FLOOR = 0.03
-# Standard deviation, as a share of the angular velocity, that is added before a difference counts
-# as disagreement.
-_GROSS = 0.12
-_DISAGREE = 16.3  # squared distance in standard deviations that 0.1 % exceed
-_TELLING = 3.0  # standard deviations of w from which agreement says something
-_SHARE_REJECTED = 0.6
-_SHARE_ACCEPTED = 0.3
-_MEMORY_S = 2.0  # time constant of the share of windows that disagree, s
-_FIRST_MEMORY_S = 0.4  # the same until the gyro has agreed for _CONFIRMED_S
-_CONFIRMED_S = 2.0  # time of agreement, s
-_TRIAL_S = 2.0  # time of agreement after which a rejected gyro is used again, s
-_RETRY_S = 3.0  # time of disagreement after which a rejected gyro's bias is doubted once more, s
-
-# Standard deviation of w, rad/s, where the gyro is steady and the events show no motion. If it is
-# an even turn all the same, it is one in all windows: together they count as one in each 10 s.
-_AT_REST = math.radians(0.15)
-_REST_S = 10.0
-
-# Errors of the events' estimates that are nearer than this in time go together, s.
-_CORRELATED_S = 0.25
-_MOST_DOUBT = 8.0
-_OUTLIER = 16.3  # squared distance in standard deviations that 0.1 % exceed
 
 
 class Gyro:
@@ -148,13 +123,13 @@ class Gyro:
             return
         self._last = None
         speed = max(float(np.linalg.norm(last.middle)), float(np.linalg.norm(w_events)))
-        known = covariance_events + self._own + _FLOOR**2 * np.eye(3)
+        known = covariance_events + self._own + GYRO.floor**2 * np.eye(3)
         self._guess.add(last.middle + self._bias.mean, w_events)
         self._judge(last.middle - w_events, known, speed, last.t_end)
         self._bias.update(
             last.middle + self._bias.mean - w_events,
-            known + (_RELATIVE_FLOOR * speed) ** 2 * np.eye(3),
-            max(_CORRELATED_S, (last.t_end - last.t_start) / _NS_PER_S),
+            known + (GYRO.relative_floor * speed) ** 2 * np.eye(3),
+            max(GYRO.correlated_s, (last.t_end - last.t_start) / _NS_PER_S),
         )
 
     def learn_at_rest(self) -> None:
@@ -164,8 +139,8 @@ class Gyro:
         """
         if self._last is not None and self._steady is not None:
             self._last = None
-            known = _AT_REST**2 * np.eye(3) + self._own
-            self._bias.update(self._steady, known, _REST_S, at_rest=True)
+            known = GYRO.at_rest**2 * np.eye(3) + self._own
+            self._bias.update(self._steady, known, GYRO.rest_s, at_rest=True)
 
     def _pass_time(self, t_end: int) -> None:
         """Go on to a window; one that ends earlier is of another recording, or a loop of this."""
@@ -195,40 +170,40 @@ class Gyro:
                 + np.diag((config.scale_error * row) ** 2)
                 + turned * (row @ row * np.eye(3) - np.outer(row, row))
             )
-        covariances[:2] += _CLOCK_S**2 * np.einsum("ki,kj->kij", shift, shift)
+        covariances[:2] += GYRO.clock_s**2 * np.einsum("ki,kj->kij", shift, shift)
         return covariances
 
     def _judge(self, apart: Array, known: Array, speed: float, t: int) -> None:
         """Note whether a window agrees, and reject or accept the gyro by the recent windows."""
         spread = known + self._bias.covariance
-        gross = spread + (_GROSS * speed) ** 2 * np.eye(3)
-        agrees = float(apart @ np.linalg.solve(gross, apart)) < _DISAGREE
-        telling = speed > _TELLING * math.sqrt(float(np.trace(spread)))
+        gross = spread + (GYRO.gross * speed) ** 2 * np.eye(3)
+        agrees = float(apart @ np.linalg.solve(gross, apart)) < UNLIKELY_3
+        telling = speed > GYRO.telling * math.sqrt(float(np.trace(spread)))
         if agrees and not telling:
             return
         seconds = 0.0 if self._compared is None else min((t - self._compared) / _NS_PER_S, 0.2)
         self._compared = t
-        memory = _MEMORY_S if self._confirmed and not self._rejected else _FIRST_MEMORY_S
+        memory = GYRO.memory_s if self._confirmed and not self._rejected else GYRO.first_memory_s
         share = 1 - math.exp(-seconds / memory)
         self.disagreement += share * ((not agrees) - self.disagreement)
         if self._rejected:
             self._try_again(agrees, seconds)
-        elif self.disagreement > _SHARE_REJECTED:
+        elif self.disagreement > GYRO.rejected_share:
             self._rejected, self._agreed_s, self._disagreed_s = True, 0.0, 0.0
             self._bias.doubt()
             self.status = self._disagreeing()
         elif agrees:
             self._agreed_s += seconds
-            self._confirmed |= self._agreed_s >= _CONFIRMED_S
+            self._confirmed |= self._agreed_s >= GYRO.memory_s
 
     def _try_again(self, agrees: bool, seconds: float) -> None:
         """Take a rejected gyro back when it agrees, doubt its bias while it does not."""
         self._agreed_s = self._agreed_s + seconds if agrees else 0.0
         self._disagreed_s = 0.0 if agrees else self._disagreed_s + seconds
-        if self._disagreed_s > _RETRY_S:
+        if self._disagreed_s > GYRO.retry_s:
             self._bias.doubt()
             self._disagreed_s = 0.0
-        if self._agreed_s >= _TRIAL_S and self.disagreement < _SHARE_ACCEPTED:
+        if self._agreed_s >= GYRO.memory_s and self.disagreement < GYRO.accepted_share:
             self._rejected = False
 
     def _disagreeing(self) -> GyroStatus:
@@ -264,7 +239,7 @@ class BiasFilter:
 
     def doubt(self) -> None:
         """Trust what is known half as much, down to eight times the bias that is expected."""
-        most = _MOST_DOUBT**2 * np.trace(self._start)
+        most = GYRO.most_doubt**2 * np.trace(self._start)
         if np.trace(self.covariance) < most:
             self.covariance = 4 * self.covariance + self._start
 
@@ -280,7 +255,7 @@ class BiasFilter:
             at_rest: what it is learnt from; the updates of each kind repeat their errors.
         """
         apart = difference - self.mean
-        if apart @ np.linalg.solve(self.covariance + covariance, apart) > _OUTLIER:
+        if apart @ np.linalg.solve(self.covariance + covariance, apart) > UNLIKELY_3:
             return
         repeated = max(1.0, repeat_s / max(self._since_update[at_rest], 1e-3))
         noise = repeated * covariance

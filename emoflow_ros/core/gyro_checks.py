@@ -9,25 +9,15 @@ from itertools import pairwise, permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings, fit_shape
+from emoflow_ros.core.gyro_measurement import GyroReadings, fit_shape
+from emoflow_ros.core.gyro_settings import GYRO
 
 Array = NDArray[np.float64]
 
-_FROZEN_NS = 50_000_000  # time of equal readings
-_FROZEN_READINGS = 10  # number of equal readings
-_AT_RANGE = 0.99  # share of the range from which a reading counts as at its end
-
-_STEADY_NS = 500_000_000  # time of readings without motion
-_LOOK_NS = 250_000_000  # the latest readings that are looked at together
-_QUIET = math.radians(0.03)  # noise density beyond which no gyro counts as steady
 # Squared lengths, in standard deviations, that 0.1 % of draws from six and three axes exceed.
-_NOISE_6, _NOISE_3 = 22.5, 16.3
+UNLIKELY_6, UNLIKELY_3 = 22.5, 16.3
 
-UNITS = 0.35  # relative error of a scale up to which it looks like wrong units
 _DEG = math.degrees(1.0)
-_KEPT = 60  # number of windows that are compared
-_FEW = 8  # number of windows; fewer tell nothing
-_BETTER = 0.5  # share of the given axes' squared residual that other axes may leave
 
 # All 48 matrices of permuted and mirrored axes.
 AXES: list[Array] = [
@@ -79,14 +69,14 @@ def find_fault(readings: GyroReadings, t_start: int, t_end: int, limit: float) -
     """
     if not len(readings):
         return GyroFault.SILENT
-    if t_end - int(readings.t[-1]) > REACH_NS:
+    if t_end - int(readings.t[-1]) > GYRO.reach_ns:
         return GyroFault.LATE
     steps = np.diff(readings.t, prepend=min(t_start, int(readings.t[0])))
-    if steps.max() > REACH_NS or (steps[1:] <= 0).any():
+    if steps.max() > GYRO.reach_ns or (steps[1:] <= 0).any():
         return GyroFault.GAP
     if not np.isfinite(readings.w).all():
         return GyroFault.NOT_FINITE
-    if limit > 0 and np.abs(readings.w).max() >= _AT_RANGE * limit:
+    if limit > 0 and np.abs(readings.w).max() >= GYRO.at_range * limit:
         return GyroFault.SATURATED
     return None
 
@@ -124,7 +114,7 @@ class FreezeWatch:
                 self._since, self._count = int(t[begin]), 0
             self._count += end - begin
             last = int(t[end - 1])
-            if self._count >= _FROZEN_READINGS and last - self._since >= _FROZEN_NS:
+            if self._count >= GYRO.frozen_readings and last - self._since >= GYRO.frozen_ns:
                 self.until = last
         self._value, self._seen = w[-1], int(t[-1])
 
@@ -151,20 +141,20 @@ class SteadyWatch:
         Returns:
             Their mean w (3,), rad/s, where they have been steady up to then; else None.
         """
-        t_start = max(int(readings.t[0]), t_end - _LOOK_NS) if len(readings) else t_end
+        t_start = max(int(readings.t[0]), t_end - GYRO.look_ns) if len(readings) else t_end
         if t_end <= t_start:
             return None
         mean, slope, curve = fit_shape(readings, t_start, t_end).coefficients
-        noise = min(density, _QUIET) ** 2 * 1e9 / (t_end - t_start)  # variance of the mean
+        noise = min(density, GYRO.quiet) ** 2 * 1e9 / (t_end - t_start)  # variance of the mean
         uneven = float(slope @ slope / 3 + curve @ curve / 5) / noise
         off = float((mean - self._first) @ (mean - self._first)) / (2 * noise)
-        if not uneven <= _NOISE_6:  # also if it is not a number
+        if not uneven <= UNLIKELY_6:  # also if it is not a number
             self._until = None
             return None
-        if self._until is None or not t_start <= self._until <= t_end or off > _NOISE_3:
+        if self._until is None or not t_start <= self._until <= t_end or off > UNLIKELY_3:
             self._since, self._first = t_start, mean
         self._until = t_end
-        return mean if t_end - self._since >= _STEADY_NS else None
+        return mean if t_end - self._since >= GYRO.steady_ns else None
 
 
 def axis_names(matrix: Array) -> str:
@@ -180,7 +170,7 @@ class MistakeGuess:
     """Guesses why a gyro and the events disagree, from the latest windows of both."""
 
     def __init__(self) -> None:
-        self._pairs: deque[tuple[Array, Array]] = deque(maxlen=_KEPT)
+        self._pairs: deque[tuple[Array, Array]] = deque(maxlen=GYRO.compared)
 
     def add(self, gyro: Array, events: Array) -> None:
         """Take a window's angular velocities (3,), rad/s, of both; the gyro's with its bias."""
@@ -191,23 +181,23 @@ class MistakeGuess:
 
         Empty where none does.
         """
-        if len(self._pairs) < _FEW:
+        if len(self._pairs) < GYRO.fewest_compared:
             return ""
         # Without their means: a bias is no mistake.
         gyro, events = (
             np.array(part) - np.mean(part, axis=0) for part in zip(*self._pairs, strict=True)
         )
         ratio = math.sqrt(float((gyro**2).sum()) / max(float((events**2).sum()), 1e-12))
-        if abs(ratio / _DEG - 1) < UNITS:
+        if abs(ratio / _DEG - 1) < GYRO.units:
             return "readings in deg/s?"
-        if abs(ratio * _DEG - 1) < UNITS:
+        if abs(ratio * _DEG - 1) < GYRO.units:
             return "readings converted to rad/s twice?"
 
         def left(axes: Array) -> float:
             return float(((events - gyro @ axes.T) ** 2).sum())
 
         best = min(AXES, key=left)
-        if left(best) > _BETTER * left(np.eye(3)):
+        if left(best) > GYRO.better * left(np.eye(3)):
             return ""
         inverted = [axis for axis, sign in zip("xyz", np.diag(best), strict=True) if sign < 0]
         if np.abs(np.diag(best)).all():

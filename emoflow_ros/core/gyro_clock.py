@@ -11,24 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.clock import SAME_CLOCK_NS
-from emoflow_ros.core.events import NS_PER_MS
 from emoflow_ros.core.gyro_measurement import GyroMeans, GyroReadings
+from emoflow_ros.core.gyro_settings import GYRO
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-_SEEN = 20  # windows, of which the one whose readings are nearest counts: the others waited
-# A difference that is no delay of messages. A busy node lets events wait for 0.2 s; where the
-# messages' stamps confirm the difference, less is enough.
-_APART_NS, _CONFIRMED_APART_NS = 300 * NS_PER_MS, 100 * NS_PER_MS
-
-_REACH_NS = SAME_CLOCK_NS + 50 * NS_PER_MS
-_COARSE_NS, _FINE_NS = 5 * NS_PER_MS, NS_PER_MS // 2
-_KEPT, _FEW = 90, 30  # windows that are compared, at most and at least
-_EXPLAINED = 0.7  # of the turning's square, by the best offset
-_ELSEWHERE = 1.5  # times what the best offset leaves, all those that are not near it leave
-_NEAR_NS = 60 * NS_PER_MS
-_HALVES_NS = 5 * NS_PER_MS  # between what two halves of the windows say
+_REACH_NS = SAME_CLOCK_NS + GYRO.beyond_ns
 
 
 class GyroClock:
@@ -43,9 +32,9 @@ class GyroClock:
 
     def __init__(self) -> None:
         self.offset_ns = 0
-        self._apart: deque[int] = deque(maxlen=_SEEN)
-        self._usual, self._least = 0, _APART_NS
-        self._windows: deque[tuple[int, int, Array]] = deque(maxlen=_KEPT)
+        self._apart: deque[int] = deque(maxlen=GYRO.clock_windows)
+        self._usual, self._least = 0, GYRO.apart_ns
+        self._windows: deque[tuple[int, int, Array]] = deque(maxlen=GYRO.clock_compared)
 
     def note(self, apart_ns: int, delay_ns: int) -> None:
         """Note how far the readings are from a window that is complete.
@@ -55,8 +44,8 @@ class GyroClock:
             delay_ns: of event times behind their messages' stamps; 0 where that is not known.
         """
         self._apart.append(apart_ns)
-        confirmed = self._usual == 0 and abs(delay_ns) >= _CONFIRMED_APART_NS
-        self._least = _CONFIRMED_APART_NS if confirmed else _APART_NS
+        confirmed = self._usual == 0 and abs(delay_ns) >= GYRO.confirmed_apart_ns
+        self._least = GYRO.confirmed_apart_ns if confirmed else GYRO.apart_ns
 
     @property
     def apart_ns(self) -> int:
@@ -87,7 +76,7 @@ class GyroClock:
         found = find_offset(readings, starts, ends, events)
         if found is None:
             return False
-        self.offset_ns, self._usual, self._least = found, self.apart_ns, _APART_NS
+        self.offset_ns, self._usual, self._least = found, self.apart_ns, GYRO.apart_ns
         self._windows.clear()
         return True
 
@@ -107,7 +96,7 @@ def find_offset(readings: GyroReadings, starts: Times, ends: Times, events: Arra
     if not len(readings):
         return None
     covered = (starts - _REACH_NS >= readings.t[0]) & (ends + _REACH_NS <= readings.t[-1])
-    if covered.sum() < _FEW:
+    if covered.sum() < GYRO.clock_fewest:
         return None
     starts, ends, events = starts[covered], ends[covered], events[covered]
     means = GyroMeans(readings.t, readings.w)
@@ -118,15 +107,15 @@ def find_offset(readings: GyroReadings, starts: Times, ends: Times, events: Arra
         of_gyro = means.over((starts - earlier).ravel(), (ends - earlier).ravel())
         return events - of_gyro.reshape(len(offsets), len(starts), 3)
 
-    coarse = np.arange(-_REACH_NS, _REACH_NS + 1, _COARSE_NS)
+    coarse = np.arange(-_REACH_NS, _REACH_NS + 1, GYRO.coarse_ns)
     left = _spread(differences(coarse))
     best = int(left.argmin())
-    if not left[best] ** 2 <= (1 - _EXPLAINED) * _spread(events[None])[0] ** 2:  # also NaN
+    if not left[best] ** 2 <= (1 - GYRO.explained) * _spread(events[None])[0] ** 2:  # also NaN
         return None
-    elsewhere = np.abs(coarse - coarse[best]) > _NEAR_NS
-    if not left[elsewhere].min() >= _ELSEWHERE * left[best]:
+    elsewhere = np.abs(coarse - coarse[best]) > GYRO.near_ns
+    if not left[elsewhere].min() >= GYRO.elsewhere * left[best]:
         return None
-    fine = coarse[best] + np.arange(-_NEAR_NS, _NEAR_NS + 1, _FINE_NS)
+    fine = coarse[best] + np.arange(-GYRO.near_ns, GYRO.near_ns + 1, GYRO.fine_ns)
     fine = fine[np.abs(fine) <= _REACH_NS]
     found = differences(fine)
     half = len(starts) // 2
@@ -134,7 +123,7 @@ def find_offset(readings: GyroReadings, starts: Times, ends: Times, events: Arra
         int(fine[_spread(found[:, part]).argmin()])
         for part in (slice(None), slice(half), slice(half, None))
     )
-    return whole if abs(first - second) <= _HALVES_NS else None
+    return whole if abs(first - second) <= GYRO.coarse_ns else None
 
 
 def _spread(differences: Array) -> Array:

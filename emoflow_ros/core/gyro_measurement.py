@@ -9,15 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera_motion import GREVILLE
+from emoflow_ros.core.gyro_settings import GYRO
 
 Array = NDArray[np.float64]
-
-# Further from a reading than this the angular velocity is not known, ns.
-REACH_NS = 30_000_000
-
-# How a camera may turn where there is no reading: beyond the last one, and between two.
-_ACCELERATION = 20.0  # rad/s^2
-_CURVATURE = 1000.0  # rad/s^3, the angular velocity's second derivative
 
 
 @dataclass(frozen=True)
@@ -60,7 +54,7 @@ class GyroReadings:
         turned = sum(kept[:, k, None] * rotation[None, :, k] for k in range(3))
         return cls(t[later] + offset_ns, np.asarray(turned, np.float64))
 
-    def covering(self, t_start: int, t_end: int, reach_ns: int = REACH_NS) -> "GyroReadings":
+    def covering(self, t_start: int, t_end: int, reach_ns: int = GYRO.reach_ns) -> "GyroReadings":
         """Return the readings of an interval (ns) and the next one on either side.
 
         Those beside it are left out if they are further from it than `reach_ns`.
@@ -202,6 +196,6 @@ def _legendre(x: Array, degree: int) -> Array:
 def _gap_variance(readings: GyroReadings, t_start: int, t_end: int) -> float:
     gaps = np.diff(readings.t) / 1e9
     held = np.array([int(readings.t[0]) - t_start, t_end - int(readings.t[-1])]) / 1e9
-    between = ((_CURVATURE * gaps**3 / 12) ** 2).sum()
-    beyond = ((_ACCELERATION * np.maximum(held, 0.0) ** 2 / 2) ** 2).sum()
+    between = ((GYRO.curvature * gaps**3 / 12) ** 2).sum()
+    beyond = ((GYRO.acceleration * np.maximum(held, 0.0) ** 2 / 2) ** 2).sum()
     return float((between + beyond) / ((t_end - t_start) / 1e9) ** 2)

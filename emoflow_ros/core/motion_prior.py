@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.stream_settings import STREAM
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
-
-WIDEST = np.radians(60.0)  # standard deviation from which a direction is not known
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Known:
         """Return it without a direction that is wider than 60 degrees."""
         if not self.travels:
             return self
-        if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= WIDEST**2:
+        if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= STREAM.widest**2:
             return self
         return replace(self, linear=np.zeros(3), covariance=without_travel(self.covariance))
 

@@ -25,7 +25,6 @@ from emoflow_ros.core.estimate import (
     Twist,
 )
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.core.gauge import REST_PX_S
 from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.known_scene import KnownScene, inverse_depths, motion_covariance
@@ -34,6 +33,7 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_prior import Known
 from emoflow_ros.core.preparation import WorkingImage, clean, prepare
 from emoflow_ros.core.present_scene import MEAN_NS, SeenScene, measured
+from emoflow_ros.core.stream_settings import STREAM
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
@@ -257,7 +257,7 @@ def _held(
             covariance[3:, 3:] += np.outer(twist.angular, twist.angular)
             motion = replace(motion, covariance=covariance)
         motion = motion.held_against(of_rest)
-    if speed <= REST_PX_S:
+    if speed <= STREAM.rest_px_s:
         covariance = bound.rest_covariance(speed)
         covariance[3:, 3:] = motion.covariance[3:, 3:]
         motion = Known(twist.t, np.zeros(3), motion.angular, covariance)

@@ -23,27 +23,15 @@ from numpy.typing import NDArray
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.camera_motion import CONTROL_POINTS, SplineMotion
 from emoflow_ros.core.estimate import Estimate, Estimator, MotionModel, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.gauge import REST_PX_S, Gauge, covered, structured, works
+from emoflow_ros.core.events import NS_PER_S, Events, Window
+from emoflow_ros.core.gauge import Gauge, covered, structured, works
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_prior import Known, carried
+from emoflow_ros.core.stream_settings import STREAM
 from emoflow_ros.core.uncertainty import without_travel
 
 Array = NDArray[np.float64]
-
-# Standard deviation of any w, rad/s, before anything is known. Cameras rotate at 16 deg/s about an
-# axis (RMS of 60 random recordings), and in a hundredth of the time by more than 94 deg/s.
-_ANY_W = np.radians(60.0)
-CARRIED_NS = 500 * NS_PER_MS  # for so long the last motion goes on
-_GAP_NS = NS_PER_S  # between windows; after a longer one the stream begins anew
-# Way after which a scene may be another one, px of the working image: a quarter of its width
-_WAY_PX = 90.0
-# The light has changed: in the fullest part of a window so much of the image has events, nearly all
-# of one polarity, and that share was another one before.
-_PART_NS = 20 * NS_PER_MS
-_COVERED, _ONE_SIDED, _APART = 0.7, 0.05, 0.3
-_KEPT = 0.8  # of the share before, window by window
 
 BRIGHTNESS = "brightness"
 
@@ -74,7 +62,7 @@ class State:
 
     def carries(self, t: int) -> bool:
         """Whether something was measured so lately that its motion goes on until time t, ns."""
-        return self.measured is not None and t - self.measured <= CARRIED_NS
+        return self.measured is not None and t - self.measured <= STREAM.carried_ns
 
 
 class ContinuousEstimator:
@@ -111,7 +99,7 @@ class ContinuousEstimator:
             window: its events.
             found: what the estimator measures of it.
         """
-        if state.end is None or not 0 <= window.t_end - state.end <= _GAP_NS:
+        if state.end is None or not 0 <= window.t_end - state.end <= STREAM.gap_ns:
             state = State()
         passed = window.duration if state.end is None else (window.t_end - state.end) / NS_PER_S
         state = replace(state, end=window.t_end)
@@ -134,7 +122,7 @@ class ContinuousEstimator:
         found = replace(found, covariance=motion.covariance, bound=gauge)
         on = float(window.events.p.mean()) if len(window.events) else state.on
         if on is not None and state.on is not None:
-            on = _KEPT * state.on + (1 - _KEPT) * on
+            on = STREAM.kept * state.on + (1 - STREAM.kept) * on
         return State(state.end, found.t, motion, found.t, gauge, 0.0, on), found
 
     def _unmeasured(
@@ -147,7 +135,7 @@ class ContinuousEstimator:
         if state.dark:
             found = replace(found, quality=replace(found.quality, stop_reason=BRIGHTNESS))
         found = replace(found, t_start=window.t_start, t_end=window.t_end, t=t)
-        if speed is not None and speed <= REST_PX_S and state.gauge is not None:
+        if speed is not None and speed <= STREAM.rest_px_s and state.gauge is not None:
             nothing = np.zeros(3)
             motion = Known(t, nothing, nothing, state.gauge.rest_covariance(speed))
             state, status = replace(state, measured=t), Status.STILL
@@ -159,7 +147,7 @@ class ContinuousEstimator:
             motion = _within(t, self._gauge(state).rotation_covariance(speed))
             status = Status.BOUNDED
         elif state.measured is None and works(window.events):
-            motion, status = _within(t, _ANY_W**2 * np.eye(3)), Status.BOUNDED
+            motion, status = _within(t, STREAM.any_w**2 * np.eye(3)), Status.BOUNDED
         elif state.measured is None:
             return state, found
         else:
@@ -172,7 +160,7 @@ class ContinuousEstimator:
         """Tell what a gyro alone measures; at rest v is zero, too."""
         motion = Known(found.t, found.linear, found.angular, found.covariance)
         status = Status.OK
-        if speed is not None and speed <= REST_PX_S and state.gauge is not None:
+        if speed is not None and speed <= STREAM.rest_px_s and state.gauge is not None:
             held = motion.held_against(state.gauge.rotation_covariance(speed))
             covariance = state.gauge.rest_covariance(speed)
             covariance[3:, 3:] = held.covariance[3:, 3:]
@@ -196,9 +184,9 @@ class ContinuousEstimator:
         speed = gauge.speed(window)
         if speed is None:
             return state, None
-        if speed > REST_PX_S:
+        if speed > STREAM.rest_px_s:
             state = replace(state, way_px=state.way_px + speed * passed)
-        if state.way_px > _WAY_PX:
+        if state.way_px > STREAM.lost_px:
             return replace(state, gauge=None), None
         return state, speed
 
@@ -211,9 +199,9 @@ class ContinuousEstimator:
             return False
         events = _fullest(window)
         on = float(events.p.mean())
-        if min(on, 1 - on) > _ONE_SIDED or abs(on - state.on) < _APART:
+        if min(on, 1 - on) > STREAM.one_sided or abs(on - state.on) < STREAM.apart:
             return False
-        return covered(events, self._camera) > _COVERED
+        return covered(events, self._camera) > STREAM.covered
 
 
 def _disbelieved(found: Estimate) -> Estimate:
@@ -240,7 +228,7 @@ def _within(t: int, of_w: Array) -> Known:
 
 def _fullest(window: Window) -> Events:
     """Return the events of the fullest 20 ms of a window."""
-    edges = np.arange(window.t_start, window.t_end + _PART_NS, _PART_NS)
+    edges = np.arange(window.t_start, window.t_end + STREAM.part_ns, STREAM.part_ns)
     places = np.searchsorted(window.events.t, edges)
     places[-1] = len(window.events)
     first = int(np.diff(places).argmax())

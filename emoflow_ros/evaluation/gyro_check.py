@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.gyro_checks import AXES, UNITS, axis_names
+from emoflow_ros.core.gyro_checks import AXES, axis_names
 from emoflow_ros.core.gyro_config import GyroConfig
 from emoflow_ros.core.gyro_measurement import GyroMeans
+from emoflow_ros.core.gyro_settings import GYRO
 from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.evaluation.window_results import WindowResult
 
@@ -239,9 +240,9 @@ def _describe(found: Alignment) -> Iterator[str]:
 
 
 def _units(found: Alignment) -> str:
-    if abs(found.scale / _DEG_PER_RAD - 1) < UNITS:
+    if abs(found.scale / _DEG_PER_RAD - 1) < GYRO.units:
         return ": its unit is deg/s and has to be rad/s"
-    if abs(found.scale * _DEG_PER_RAD - 1) < UNITS:
+    if abs(found.scale * _DEG_PER_RAD - 1) < GYRO.units:
         return ": it was converted to rad/s twice"
     return ""
 

@@ -15,7 +15,8 @@ from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.gyro_clock import GyroClock
 from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import REACH_NS, GyroReadings
+from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.gyro_settings import GYRO
 from emoflow_ros.node.tasks import Task
 
 type Mounting = Callable[[str, str], NDArray[np.float64]]
@@ -241,7 +242,10 @@ class ImuInput:
         if self._is_doubtful:
             return task
         window, shift = task.window, self._shift(task)
-        around = (window.t_start + shift - 2 * REACH_NS, window.t_end + shift + 2 * REACH_NS)
+        around = (
+            window.t_start + shift - 2 * GYRO.reach_ns,
+            window.t_end + shift + 2 * GYRO.reach_ns,
+        )
         t, w = self._buffer.between(*around)
         readings = GyroReadings.mounted(t, w, self._rotation, -shift)
         return replace(task, window=window.with_gyro(readings))

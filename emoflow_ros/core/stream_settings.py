@@ -1,0 +1,68 @@
+"""Numbers that tune what is told where nothing is measured: one table."""
+
+from dataclasses import dataclass
+from math import radians
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """How rest, darkness and how fast the image moves at most are told.
+
+    Chosen on random recordings with rests and covered lenses. Pixels are those of the working
+    image where nothing else is said, so that nothing scales with the sensor.
+
+    Attributes:
+        block_px: side of a block, px.
+        way_px: that a scene is gauged over, px: a longer one would leave its block.
+        longest_px: way of a window from which only its latest part counts, px.
+        shortest_px: a shorter way tells too little of a scene, px.
+        grid_px: distance between the points whose speed counts, px of the sensor.
+        sure: standard deviations.
+        fewest_of_edges: events.
+        edges: variance over that by chance from which there are edges.
+        fewest: events of a window from a sensor that works.
+        rest_px_s: speed up to which a camera is at rest, px/s.
+        depth_m: of the scene, to tell the speed of a camera at rest in m/s.
+        least_px_s: speed that is never excluded, px/s.
+        supposed: scatter per px and px^2 of the sensor in a block, where no scene was gauged: 0.04
+            to 0.5 in 12 random recordings.
+        any_w: standard deviation of any w before anything is known, rad/s. Cameras rotate at 16
+            deg/s about an axis (RMS of 60 random recordings), and in a hundredth of the time by
+            more than 94 deg/s.
+        carried_ns: for so long the last motion goes on, ns.
+        gap_ns: between windows; after a longer one the stream begins anew, ns.
+        lost_px: way after which a scene may be another one, px: a quarter of its width.
+        part_ns: the fullest part of a window, ns. The light has changed if in it
+        covered: more than this share of the image has events,
+        one_sided: at most this share of them of the other polarity,
+        apart: and the share of ON events was another one before, by so much.
+        kept: of the share before, window by window.
+        widest: standard deviation from which a direction is not known, rad.
+    """
+
+    block_px: int = 8
+    way_px: float = 4.0
+    longest_px: float = 6.0
+    shortest_px: float = 0.5
+    grid_px: int = 16
+    sure: float = 3.0
+    fewest_of_edges: int = 1000
+    edges: float = 4.0
+    fewest: int = 20
+    rest_px_s: float = 3.0
+    depth_m: float = 3.0
+    least_px_s: float = 0.5
+    supposed: float = 0.03
+    any_w: float = radians(60.0)
+    carried_ns: int = 500_000_000
+    gap_ns: int = 1_000_000_000
+    lost_px: float = 90.0
+    part_ns: int = 20_000_000
+    covered: float = 0.7
+    one_sided: float = 0.05
+    apart: float = 0.3
+    kept: float = 0.8
+    widest: float = radians(60.0)
+
+
+STREAM = StreamSettings()

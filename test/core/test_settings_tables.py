@@ -1,0 +1,40 @@
+"""The numbers that tune the gyro and the stream are in one table for each."""
+
+import ast
+from dataclasses import FrozenInstanceError, fields
+from pathlib import Path
+
+import pytest
+
+from emoflow_ros.core import gyro_settings
+from emoflow_ros.core.gyro_settings import GYRO, GyroSettings
+from emoflow_ros.core.stream_settings import STREAM, StreamSettings
+
+FOLDER = Path(gyro_settings.__file__).parent
+OF_FORM = {
+    "gyro": {"_NS_PER_S"},
+    "gyro_checks": {"UNLIKELY_6", "UNLIKELY_3", "_DEG", "AXES"},
+    "gyro_clock": {"_REACH_NS", "Times"},
+    "gyro_measurement": set(),
+    "stream": {"BRIGHTNESS"},
+    "gauge": {"_STEP_NS", "_LEVER"},
+    "motion_prior": set(),
+}
+
+
+@pytest.mark.parametrize("module", OF_FORM)
+def test_modules_hold_no_tuning_numbers_of_their_own(module):
+    named = {"Array"}
+    for node in ast.parse((FOLDER / f"{module}.py").read_text()).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            named |= {name.id for name in ast.walk(target) if isinstance(name, ast.Name)}
+    assert named == OF_FORM[module] | {"Array"}
+
+
+@pytest.mark.parametrize(("table", "kind"), [(GYRO, GyroSettings), (STREAM, StreamSettings)])
+def test_a_table_is_frozen_and_tells_of_each_number(table, kind):
+    for field in fields(kind):
+        assert field.name in kind.__doc__
+        with pytest.raises(FrozenInstanceError):
+            setattr(table, field.name, 0)
