@@ -129,7 +129,7 @@ b.supervisor.stop()
 
 
 def test_worker_shares_the_estimator_with_the_next_one() -> None:
-    """Loaded by each for itself, code and libraries take 90 MB, and 0.8 s of a core."""
+    """Loaded by each for itself, code and libraries take 90 MB, and 0.3 s of a core."""
     own, resident = map(int, run(KILLED).split())
     assert own < 50
     assert resident > 100
