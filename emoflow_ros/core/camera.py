@@ -178,8 +178,7 @@ class Camera:
             failed = ~(np.abs(distorted - target).max(axis=-1) < 1e-6)
             for share in np.linspace(0.1, 1.0, 10):  # no fold between the centre and there
                 _, lens = self.distort(share * estimate)
-                upright = np.trace(lens, axis1=-2, axis2=-1) > 0
-                failed |= ~((np.linalg.det(lens) > 0) & upright)
+                failed |= ~_keeps_its_side(lens)
             inverse = _inverse_2x2(jacobian) / focal
         estimate[failed] = np.nan
         inverse[failed] = np.nan
@@ -248,6 +247,12 @@ def _equidistant(
     jacobian[..., 0, 0] += scale
     jacobian[..., 1, 1] += scale
     return normalised * scale[..., None], jacobian
+
+
+def _keeps_its_side(matrix: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether determinant and trace are positive; numpy's own take 20 times as long for 2x2."""
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    return np.asarray((a * d - b * c > 0) & (a + d > 0))
 
 
 def _inverse_2x2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

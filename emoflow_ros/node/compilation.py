@@ -63,3 +63,26 @@ def watched(tell: Callable[[str], None]) -> Iterator[Compilation]:
     with event.install_listener("numba:compile", Compilation(tell)) as compilation:
         yield compilation
         compilation.end()
+
+
+class CompilationRefusedError(Exception):
+    """Something would have to be compiled."""
+
+
+class _Refusal(event.Listener):
+    def on_start(self, event: event.Event) -> None:
+        raise CompilationRefusedError
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+@contextmanager
+def refused() -> Iterator[None]:
+    """Let nothing be compiled within the context; what is found on disk is loaded.
+
+    Raises:
+        CompilationRefusedError: from within, before anything is compiled.
+    """
+    with event.install_listener("numba:compile", _Refusal()):
+        yield

@@ -11,6 +11,7 @@ import psutil
 from emoflow_ros.core.bounded_windows import DistinctEvents
 from emoflow_ros.core.estimate import Status
 from emoflow_ros.core.wide import why_wide
+from emoflow_ros.node.event_share import EventShare
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.stream_watch import DROPPED, FAILED, REFUSALS, StreamWatch
 from emoflow_ros.node.tasks import Loss, Result, Task
@@ -22,6 +23,7 @@ _TOO_FAST = (
     "events come faster than the node decodes them; lower their rate, or give the node more of the "
     "processor"
 )
+_FEWER = "; windows hold at most 1/{part} of the usual events, as they find the worker busy"
 _WARNINGS = {
     "worker_restarts": "worker restarts: {loss}",
     "windows_failed": "windows failed: {loss}",
@@ -59,6 +61,7 @@ class Statistics:
         counts: by name; all of them are there from the start.
         stream: what comes in and goes out; told by `listen` and `give` from outside.
         load: how much of the processor the worker gets.
+        share: how many events windows may hold.
         event_delay_s: of event times on ROS time behind the messages' stamps; 0 on another clock.
         clock_drift_ppm: how much faster ROS time runs than the sensor's clock.
     """
@@ -68,6 +71,7 @@ class Statistics:
             dict.fromkeys((*_ALSO_COUNTED, *_STATUSES, *_WARNINGS), 0)
         )
         self.clock_drift_ppm = self.event_delay_s = 0.0
+        self.share = EventShare(clock)
         self.problems: dict[str, tuple[Level, str]] = {}
         self._clock = clock
         self._latencies: deque[float] = deque(maxlen=_LATENCIES_KEPT)
@@ -161,6 +165,7 @@ class Statistics:
             "windows_per_s": f"{done / elapsed:.2f}",
             "twists_now_per_s": f"{(current['twists_now'] - counts['twists_now']) / elapsed:.1f}",
             **self._quality(),
+            "events_share": f"{1 / self.share.part:g}",
             "clock_drift_ppm": f"{self.clock_drift_ppm:.1f}",
             "memory_mb": f"{resident_mb(os.getpid()):.0f}",
             "worker_memory_mb": f"{resident_mb(worker) if worker else 0.0:.0f}",
@@ -171,7 +176,13 @@ class Statistics:
     def _verdict(self, recent: Counter[str], silence_s: float, twist_s: float) -> tuple[Level, str]:
         """Choose the first of the worst reasons."""
         reasons = self._reasons(recent, silence_s, twist_s)
-        return max(reasons, key=lambda reason: reason[0], default=(Level.OK, self._running(recent)))
+        running = Level.OK, self._running(recent) + self._fewer
+        return max(reasons, key=lambda reason: reason[0], default=running)
+
+    @property
+    def _fewer(self) -> str:
+        part = self.share.part
+        return "" if part == 1 else _FEWER.format(part=part)
 
     def _running(self, recent: Counter[str]) -> str:
         """Say what became of most windows, where few have an estimate, or that events pause."""
@@ -204,7 +215,8 @@ class Statistics:
             yield from self.stream.missing_twists(twist_s)
         for name, reason in _WARNINGS.items():
             if recent[name]:
-                text = reason.format(loss=self._last_loss, drop=self._last_drop)
+                drop = self._last_drop + self._fewer
+                text = reason.format(loss=self._last_loss, drop=drop)
                 yield Level.WARN, f"{recent[name]} {text}"
         yield from (self.problems[part] for part in _MILD if part in self.problems)
 

@@ -101,8 +101,10 @@ class EventInput:
         return self._decoder.statistics.encoding
 
     def set_budget(self, budget: EventBudget) -> None:
-        """Cut and thin later events by this one; events of an unfinished window are left out."""
-        if budget != self._slicer.budget:
+        """Cut and thin later events by this one; another policy leaves an unfinished window out."""
+        if budget.policy == self._slicer.policy:
+            self._slicer.budget = budget
+        else:
             self._slicer = RateLimitedSlicer(budget)
 
     def take(self, data: bytes, part: int = 1) -> None:

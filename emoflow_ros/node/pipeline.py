@@ -18,6 +18,7 @@ from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.calibration_url import calibration_path
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
+from emoflow_ros.node.event_share import share_of
 from emoflow_ros.node.imu_source import ImuSource
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level, Report
@@ -127,7 +128,7 @@ class Pipeline:
         self._settings = settings
         self._outputs.set_scale(settings.node.scale)
         if self._input is not None:
-            self._input.set_budget(settings.budget)
+            self._input.set_budget(share_of(settings.budget, self.statistics.share.part))
 
     def pause(self) -> None:
         """Forget the topic's unfinished window and the windows that wait."""
@@ -153,7 +154,7 @@ class Pipeline:
         self.statistics.stream.listen()
         self._input = EventInput(
             topic.type,
-            settings.budget,
+            share_of(settings.budget, self.statistics.share.part),
             settings.slices,
             timestamps=Timestamps(settings.node.input.timestamps),
             frame_id=settings.node.camera.frame_id,
@@ -244,8 +245,11 @@ class Pipeline:
         if not tasks:
             return
         self.is_topic_used = True
-        config, wishes = self._settings.config, self._outputs.wishes
-        jobs = [Job(task, self._camera, config, wishes) for task in tasks]
+        if self.statistics.share.note(is_busy=self._supervisor.busy_s > 0):
+            self.set_settings(self._settings)
+        part = self.statistics.share.part
+        shared = self._camera, self._settings.config, self._outputs.wishes, part
+        jobs = [Job(task, *shared) for task in tasks]
         queue = self._supervisor.queue
         if not len(queue):  # else they are dropped perhaps: thinning takes longer than decoding
             jobs = [job.thinned() for job in jobs]

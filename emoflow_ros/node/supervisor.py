@@ -25,11 +25,13 @@ from emoflow_ros.node.tasks import (
     Progress,
     Task,
 )
-from emoflow_ros.node.worker import WARM_UP_CAMERA, serve
+from emoflow_ros.node.warm_up import WARM_UP_CAMERA
+from emoflow_ros.node.worker import serve
 from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerProcess, why_lost
 
 FACTORY = "emoflow_ros.factory:make_estimator"
 STARTING = "the worker is starting"
+_NEEDED_TO_WARM_UP = ("emoflow_ros.core.lattice_estimator", "emoflow_ros.core.present_motion")
 
 _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0
@@ -41,8 +43,8 @@ class Supervisor:
     """Runs jobs through a worker process, one at a time, in a thread of its own.
 
     A worker that dies or takes longer than `timeout_s` is replaced; that costs the window it
-    was working on. The replacement is forked from a server process that has the estimator's
-    modules loaded already. Where CUDA fails a worker and `may_use_cpu` is set, the next ones
+    was working on. The replacement is forked from a server process that has the estimator and its
+    compiled code loaded already. Where CUDA fails a worker and `may_use_cpu` is set, the next ones
     estimate on the CPU. Any other error in the thread costs the worker, too, and is an outcome
     with its traceback.
 
@@ -82,15 +84,8 @@ class Supervisor:
         self._factory = factory
         self._nice = nice
         self._context = multiprocessing.get_context("forkserver")
-        # The factory imports its estimators late. That of the default profile is loaded beforehand.
-        self._context.set_forkserver_preload(
-            [
-                factory.partition(":")[0],
-                "emoflow_ros.core.lattice_estimator",
-                "emoflow_ros.core.present_motion",
-                serve.__module__,
-            ]
-        )
+        own = "emoflow_ros.node.preloaded" if factory == FACTORY else factory.partition(":")[0]
+        self._context.set_forkserver_preload([own, serve.__module__, *_NEEDED_TO_WARM_UP])
         self._configured: tuple[Camera, Config] | None = None
         self._epoch = -1
         self._pictures = PictureBudget()
@@ -155,7 +150,7 @@ class Supervisor:
     def _run(self) -> None:
         # The server process and its workers inherit this thread's mask: Ctrl-C is for the node.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        pause = _IDLE_S
+        pause = 0.0
         try:
             while not self._stopping.is_set():
                 try:
@@ -165,9 +160,9 @@ class Supervisor:
                         break
                     self._lose_worker(error)
                     self._stopping.wait(pause)
-                    pause = min(2 * pause, _LONGEST_PAUSE_S)
+                    pause = min(max(2 * pause, _IDLE_S), _LONGEST_PAUSE_S)
                 else:
-                    pause = _IDLE_S if answered else pause
+                    pause = 0.0 if answered else pause
         finally:
             self._end_worker()
 
@@ -246,11 +241,14 @@ class Supervisor:
     def _warm_up(self) -> None:
         """Warm the worker up; one that had to compile is replaced by one that has not.
 
-        The compiler's memory, more than the estimation takes, would stay with the process.
+        The compiler's memory, more than the estimation takes, would stay with the process. Its
+        server has not loaded what was missing, and is replaced, too.
         """
         if self._ask_to_warm_up().get("compiled"):
             configured = self._configured
-            self._end_worker()
+            worker, self._worker = self._worker, None
+            assert worker is not None
+            worker.end_with_server()
             self._start_worker()
             self._ask_to_warm_up()
             if configured is not None:  # by `check`

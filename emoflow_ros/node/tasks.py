@@ -13,6 +13,7 @@ from emoflow_ros.config import Config
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, PresentTwist
 from emoflow_ros.core.events import NS_PER_S, Window
+from emoflow_ros.node.event_share import share_of
 
 type Arrays = dict[str, NDArray[Any]]
 
@@ -75,12 +76,16 @@ class Wishes:
 
 @dataclass(frozen=True)
 class Job:
-    """A task with all that the worker needs for it, as it was when the task was handed over."""
+    """A task with all that the worker needs for it, as it was when the task was handed over.
+
+    `part` is that of `EventShare`.
+    """
 
     task: Task
     camera: Camera
     config: Config
     wishes: Wishes = field(default_factory=Wishes)
+    part: int = 1
 
     @property
     def interval_s(self) -> float:
@@ -91,7 +96,7 @@ class Job:
 
     def thinned(self) -> "Job":
         """Return it with no more events in its window than the estimator may use."""
-        budget = self.config.event_budget
+        budget = share_of(self.config.event_budget, self.part)
         return replace(self, task=replace(self.task, window=budget.bound(self.task.window)))
 
 

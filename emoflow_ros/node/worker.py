@@ -23,29 +23,20 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros import compiled_code
-from emoflow_ros.config import Config, load_config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimate, Estimator, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 from emoflow_ros.core.gyro_measurement import GyroReadings
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.channel import Channel, pack, pack_present, unpack_window
 from emoflow_ros.node.painter import Painter
 from emoflow_ros.node.tasks import Arrays, Wishes
+from emoflow_ros.node.warm_up import EstimatorFactory, warm_up
 
 if TYPE_CHECKING:
     from emoflow_ros.core.present_motion import PresentMotion
 
-type EstimatorFactory = Callable[[Camera, Config], Estimator]
-
-WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
-
-# Enough windows for a warm start and an adjustment of the memory
-_WARM_UP_LENGTH = 90 * NS_PER_MS
-WARM_UP_ENDS = tuple(_WARM_UP_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
-_WARM_UP_EVENTS = 60_000
-_WARM_UP_SPEED = 200  # px/s
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
 _UNWRITABLE = (errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.EPERM, errno.EROFS)
@@ -137,29 +128,15 @@ class _Worker:
             return _describe(error), {}
 
     def _warm_up(self) -> dict[str, Any]:
-        """Estimate synthetic events, so that all code is compiled and loaded before real ones.
+        """Compile and load all code before real events come.
 
         Returns:
             `compiled`: whether anything was compiled, and not found on disk.
         """
-        from emoflow_ros.core.present_motion import PresentMotion
         from emoflow_ros.node.compilation import watched
 
-        camera, config = WARM_UP_CAMERA, Config()
-        rng = np.random.default_rng(0)
-        t = np.sort(rng.integers(0, WARM_UP_ENDS[-1], _WARM_UP_EVENTS))
-        dots = rng.integers(0, (camera.width, camera.height), (500, 2))
-        x, y = dots[rng.integers(0, len(dots), len(t))].T
-        moved = (x + t * _WARM_UP_SPEED // NS_PER_S) % camera.width
-        events = Events(moved.astype(np.uint16), y.astype(np.uint16), t, x % 2 == 0)
-        estimator = self._make_estimator(camera, config)
-        assert isinstance(config.estimator, LatticeConfig)
-        present = PresentMotion(camera, config.estimator)
         with watched(lambda line: self._tell({"progress": line})) as compilation:
-            for end in WARM_UP_ENDS:
-                window = Window(0, end, events[: np.searchsorted(t, end)])
-                present.know(estimator.estimate(window.since(end - _WARM_UP_LENGTH)))
-                present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
+            warm_up(self._make_estimator)
         return {"compiled": bool(compilation.count)}
 
     def _configure(self, header: dict[str, Any]) -> dict[str, Any]:

@@ -1,12 +1,16 @@
 """The node's handle of its worker process, and the thread that has slices estimated in it."""
 
 import contextlib
+import os
+import signal
 import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
 from multiprocessing.context import ForkServerContext
 from typing import Any
+
+import psutil
 
 from emoflow_ros.node.channel import Channel, pack_window, unpack_present
 from emoflow_ros.node.tasks import Arrays, DropOldestQueue, Loss, Present, Task
@@ -153,6 +157,21 @@ class WorkerProcess:
         self._process.join(1.0)
         with contextlib.suppress(ValueError):  # it has not ended yet
             self._process.close()
+
+    def end_with_server(self) -> None:
+        """End it and the process that it was forked from: the next start makes another one.
+
+        That one then loads what has been compiled meanwhile.
+        """
+        server = None
+        with contextlib.suppress(psutil.Error):  # the worker has died
+            server = psutil.Process(self.pid).parent()
+        self.end()
+        if server is None or server.ppid() != os.getpid():  # it has died, too
+            return
+        os.kill(server.pid, signal.SIGKILL)
+        # Not reaped here: multiprocessing looks for its end before the next start.
+        os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
 
     def _cause_of_death(self) -> str:
         if self._killed_because:

@@ -18,7 +18,7 @@ from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.events import Window
 from emoflow_ros.core.gyro import Gyro
 from emoflow_ros.errors import InputError
-from emoflow_ros.node.worker import WARM_UP_ENDS
+from emoflow_ros.node.warm_up import WARM_UP_ENDS
 
 _POISON_X = 7  # a window of events in this column alone triggers the bad behaviour
 

@@ -25,6 +25,9 @@ def next_outcome(supervisor: Supervisor) -> Outcome:
 class Bench:
     """A supervisor with its outcomes.
 
+    Args:
+        estimator: one of the fake estimators, or `module:function` that makes another.
+
     Attributes:
         camera, config, wishes: of the jobs that are put.
         wake: called by the supervisor.
@@ -42,7 +45,7 @@ class Bench:
             timeout_s=timeout_s,
             may_use_cpu=may_use_cpu,
             wake=lambda: self.wake(),
-            factory=f"fake_estimators:{estimator}",
+            factory=estimator if ":" in estimator else f"fake_estimators:{estimator}",
         )
         self.outcomes = self.supervisor.outcomes
 

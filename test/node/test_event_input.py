@@ -184,9 +184,10 @@ def test_new_policy_cuts_from_the_next_event_on(bench: Bench) -> None:
 
 def test_same_policy_does_not_lose_the_unfinished_window(bench: Bench) -> None:
     bench.push(1000, 1004)
-    bench.input.set_budget(EventBudget(WindowPolicy(duration_ms=10.0), 30_000))
-    [task] = bench.push(1012)
-    assert len(task.window.events) == 2
+    bench.input.set_budget(EventBudget(WindowPolicy(duration_ms=10.0), 10))  # 1 per ms
+    [task] = bench.push(1006, 1006.1, 1006.2, 1006.3, 1012)
+    assert len(task.window.events) == 3
+    assert bench.statistics.counts["events_thinned"] == 3
 
 
 def test_sizes_do_not_mix_before_a_calibration(bench: Bench) -> None:

@@ -56,21 +56,24 @@ def test_pictures_come_only_when_wished_for(bench: Callable[..., Bench]) -> None
 def test_worker_that_had_to_compile_is_replaced_once(
     bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The replacement is kept, although this one compiles, too."""
+    """The replacement is kept, although this one compiles, too. It is of another server."""
     started = []
+    servers = set()
 
     class Counted(WorkerProcess):
         def __init__(self, *args: Any) -> None:
             super().__init__(*args)
             started.append(self.pid)
+            servers.add(psutil.Process(self.pid).ppid())
 
     monkeypatch.setattr(supervisor, "WorkerProcess", Counted)
     for factory, count in (("Compiler", 2), ("Recorder", 1)):
         started.clear()
+        servers.clear()
         b = bench(factory)
         b.put()
         answered = b.result().estimate.angular[0]
-        assert len(started) == count
+        assert len(started) == len(servers) == count
         assert b.supervisor.pid == started[-1]
         assert factory == "Recorder" or answered == started[-1]
 
@@ -129,6 +132,23 @@ def test_worker_killed_while_idle_costs_nothing(bench: Callable[..., Bench]) -> 
     b.put()
     assert b.result().estimate.quality.events == 5
     assert b.supervisor.pid != first
+
+
+def test_worker_that_has_answered_is_replaced_without_a_pause(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    b = bench("Recorder")
+    pauses: list[float] = []
+    monkeypatch.setattr(b.supervisor._stopping, "wait", pauses.append)
+    for _ in range(2):
+        b.put()
+        b.result()
+        assert b.supervisor.pid is not None
+        os.kill(b.supervisor.pid, signal.SIGKILL)
+        b.loss()
+    b.put()
+    b.result()
+    assert pauses == [0.0, 0.0]
 
 
 def test_hanging_worker_is_replaced_after_the_timeout(bench: Callable[..., Bench]) -> None:

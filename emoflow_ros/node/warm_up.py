@@ -1,0 +1,41 @@
+"""Synthetic events that make the estimator compile and load all of its code."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from emoflow_ros.config import Config
+from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.estimate import Estimator
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
+from emoflow_ros.core.lattice_config import LatticeConfig
+
+type EstimatorFactory = Callable[[Camera, Config], Estimator]
+
+WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
+
+# Enough windows for a warm start and an adjustment of the memory
+_LENGTH = 90 * NS_PER_MS
+WARM_UP_ENDS = tuple(_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
+_EVENTS = 60_000
+_SPEED = 200  # px/s
+
+
+def warm_up(make_estimator: EstimatorFactory) -> None:
+    """Estimate windows and latest twists of synthetic events."""
+    from emoflow_ros.core.present_motion import PresentMotion
+
+    camera, config = WARM_UP_CAMERA, Config()
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.integers(0, WARM_UP_ENDS[-1], _EVENTS))
+    dots = rng.integers(0, (camera.width, camera.height), (500, 2))
+    x, y = dots[rng.integers(0, len(dots), len(t))].T
+    moved = (x + t * _SPEED // NS_PER_S) % camera.width
+    events = Events(moved.astype(np.uint16), y.astype(np.uint16), t, x % 2 == 0)
+    estimator = make_estimator(camera, config)
+    assert isinstance(config.estimator, LatticeConfig)
+    present = PresentMotion(camera, config.estimator)
+    for end in WARM_UP_ENDS:
+        window = Window(0, end, events[: np.searchsorted(t, end)])
+        present.know(estimator.estimate(window.since(end - _LENGTH)))
+        present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
