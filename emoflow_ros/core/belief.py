@@ -37,7 +37,7 @@ _OF_SLOPE = 0.3  # information on half of the change over that on the mean, of a
 
 @dataclass(frozen=True)
 class Belief:
-    """A Gaussian over (w, v): angular velocity in rad/s and unit direction of travel.
+    """A Gaussian over (w, v): angular velocity in rad/s and unit direction of translation.
 
     Attributes:
         t: time that it holds at, ns.
@@ -186,7 +186,7 @@ class Structure:
             epipolar: the lattice's constraint.
             flow: (nodes, 2) px per window, now.
             windows: how far ahead, in windows.
-            v: (3,) unit direction of travel.
+            v: (3,) unit direction of translation.
             drift: relative change of depth that is expected anyway.
         """
         _, squared = _lines(epipolar, v)

@@ -93,7 +93,7 @@ def inverse_depths(epipolar: NodeEpipolar, flow: Array, w: Array, v: Array) -> A
     Args:
         epipolar: the lattice's constraint.
         flow: per second.
-        w, v: (3,) rad per second, and the direction of travel.
+        w, v: (3,) rad per second, and the direction of translation.
     """
     line = epipolar.a @ v
     along = ((flow - epipolar.b @ w) * line).sum(axis=-1)
@@ -108,7 +108,7 @@ def motion_covariance(estimate: Estimate, v: Array) -> Array:
 
     Args:
         estimate: of a window.
-        v: (3,) unit direction of travel at the time in the window that is asked for.
+        v: (3,) unit direction of translation at the time in the window that is asked for.
     """
     order = np.r_[3:6, 0:3]
     covariance: Array = estimate.covariance[np.ix_(order, order)].copy()

@@ -66,8 +66,8 @@ class LatticeConfig:
     )
     direction_drift: float = option(
         120.0,
-        "random walk of the direction of travel between windows; a smaller value remembers more: "
-        "the direction is steadier and follows a change later",
+        "random walk of the direction of translation between windows; a smaller value remembers "
+        "more: the direction is steadier and follows a change later",
         unit="deg per square root of a second",
         minimum=0.1,
         maximum=1e4,

@@ -1,4 +1,4 @@
-"""A motion that goes on: a random walk of w and of the direction of travel."""
+"""A motion that goes on: a random walk of w and of the direction of translation."""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,7 @@ class Known:
 
     Attributes:
         t: event time, ns.
-        linear: (3,) unit direction of travel; zeros where it is not known, and at rest.
+        linear: (3,) unit direction of translation; zeros where it is not known, and at rest.
         angular: (3,) rad/s.
         covariance: (6, 6) of (linear, angular), as that of an Estimate.
     """
@@ -30,7 +30,7 @@ class Known:
 
     @property
     def travels(self) -> bool:
-        """Whether a direction of travel is known."""
+        """Whether a direction of translation is known."""
         return bool(self.linear.any())
 
     def narrow(self) -> "Known":
@@ -59,7 +59,7 @@ def carried(motion: Known, t: int, angular: float, direction: float) -> Known:
         motion: at its time.
         t: no earlier.
         angular: variance of each component of w that is added per second, (rad/s)^2.
-        direction: the same for the direction of travel, across it, rad^2.
+        direction: the same for the direction of translation, across it, rad^2.
     """
     seconds = max(0, t - motion.t) / NS_PER_S
     covariance = motion.covariance.copy()

@@ -15,7 +15,7 @@ class OutputBounds:
 
     Attributes:
         angular: of the angular velocity, rad/s.
-        direction: of the direction of travel, rad.
+        direction: of the direction of translation, rad.
     """
 
     angular: float = 0.0

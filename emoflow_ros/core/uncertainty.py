@@ -1,9 +1,9 @@
 """The motions that may explain a window's flow, and how uncertain its egomotion is.
 
-Many motions may explain the flow of a window nearly as well: a turn looks much like a sideways
-travel. Each direction of travel, with the best rotation for it, and a camera that only turns have a
-cost: what they leave of the flow, and how much flow they take. Of two motions that leave the same
-residuals, the one that has to turn and to travel less is likelier. How likely a motion is falls
+Many motions may explain the flow of a window nearly as well: a rotation looks much like a sideways
+translation. Each direction of translation, with the best rotation for it, and a camera that only
+rotates have a cost: what they leave of the flow, and how much flow they take. Of two motions that
+leave the same residuals, the one that has to move less is likelier. How likely a motion is falls
 exponentially with its cost. The estimate is the mean over them, and their spread is a part of its
 covariance.
 
@@ -31,7 +31,7 @@ _LEAST_PARALLAX_PX = 0.1
 # costs have a temperature, and where neither is so.
 _OF_SIZED, _OF_UNSIZED = 0.85, 1.5
 _LEAST_ANGLE = 0.02  # standard deviation of v that no flow takes away, rad: no calibration is exact
-_AGREE = 0.3  # spread of the possible directions of travel up to which they agree, rad
+_AGREE = 0.3  # spread of the possible directions of translation up to which they agree, rad
 
 
 def trusted(information: Array) -> Array:
@@ -50,7 +50,7 @@ def trusted(information: Array) -> Array:
 
 @dataclass(frozen=True)
 class Explanations:
-    """Constant motions, each the best one along its direction of travel.
+    """Constant motions, each the best one along its direction of translation.
 
     The costs are minus twice logarithms of a probability.
 
@@ -145,7 +145,7 @@ class PossibleMotions:
 
     @property
     def agree(self) -> bool:
-        """Whether the possible motions agree on a direction of travel."""
+        """Whether the possible motions agree on a direction of translation."""
         return float(np.trace(self.spread[3:, 3:])) < _AGREE**2
 
     def covariance(

@@ -40,11 +40,11 @@ class BackEndSettings:
         expected_cost: mean robust cost of an observation where the covariance is right.
         least_cost: over that: fewer errors than expected are not believed.
         excess: factor on the covariance (core.back_end.consistency).
-        direction_excess: factor on that of the direction of travel besides.
+        direction_excess: factor on that of the direction of translation besides.
         fewest_shown: patches that are counted at least there.
         revision_share: of the newest revision in their mean.
         usual_revision, most_revision: before the first one, and at most.
-        widest_direction_deg: standard deviation of a direction of travel that is reported, deg.
+        widest_direction_deg: standard deviation of a direction that is reported, deg.
         settled_s: that the nodes reach back before the flow is fitted again with their motion, s.
         steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.

@@ -137,7 +137,7 @@ class AdjustedMotion:
     Attributes:
         times: (K,) ns.
         x: the way.
-        travels: whether the direction of travel is known.
+        travels: whether the direction of translation is known.
         ahead: whose change of the angular velocity goes on after the newest node, as the lattice's.
         turning: whose angular velocity counts instead, as a gyro's.
     """
