@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from emoflow_ros.config import Config
+from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.estimate import Estimator
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
@@ -14,28 +14,29 @@ type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
 WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
-# Enough windows for a warm start and an adjustment of the memory
+# Enough windows for a warm start, an adjustment of the memory, and a flow fitted again with it
 _LENGTH = 90 * NS_PER_MS
-WARM_UP_ENDS = tuple(_LENGTH + k * 45 * NS_PER_MS for k in range(5))  # ns
+WARM_UP_ENDS = tuple(_LENGTH + k * 45 * NS_PER_MS for k in range(8))  # ns
 _EVENTS = 60_000
 _SPEED = 200  # px/s
 
 
 def warm_up(make_estimator: EstimatorFactory) -> None:
-    """Estimate windows and latest twists of synthetic events."""
+    """Estimate windows and latest twists of synthetic events, by both kinds of motion."""
     from emoflow_ros.core.present_motion import PresentMotion
 
-    camera, config = WARM_UP_CAMERA, Config()
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(0, WARM_UP_ENDS[-1], _EVENTS))
-    dots = rng.integers(0, (camera.width, camera.height), (500, 2))
+    dots = rng.integers(0, (WARM_UP_CAMERA.width, WARM_UP_CAMERA.height), (500, 2))
     x, y = dots[rng.integers(0, len(dots), len(t))].T
-    moved = (x + t * _SPEED // NS_PER_S) % camera.width
+    moved = (x + t * _SPEED // NS_PER_S) % WARM_UP_CAMERA.width
     events = Events(moved.astype(np.uint16), y.astype(np.uint16), t, x % 2 == 0)
-    estimator = make_estimator(camera, config)
-    assert isinstance(config.estimator, LatticeConfig)
-    present = PresentMotion(camera, config.estimator)
-    for end in WARM_UP_ENDS:
-        window = Window(0, end, events[: np.searchsorted(t, end)])
-        present.know(estimator.estimate(window.since(end - _LENGTH)))
-        present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))
+    for model, ends in (("auto", WARM_UP_ENDS), ("rotation", WARM_UP_ENDS[:2])):
+        config = load_config(overrides={"estimator.model": model})
+        assert isinstance(config.estimator, LatticeConfig)
+        estimator = make_estimator(WARM_UP_CAMERA, config)
+        present = PresentMotion(WARM_UP_CAMERA, config.estimator)
+        for end in ends:
+            window = Window(0, end, events[: np.searchsorted(t, end)])
+            present.know(estimator.estimate(window.since(end - _LENGTH)))
+            present.estimate(window.since(end - int(SLICE_MS * NS_PER_MS)))

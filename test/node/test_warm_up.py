@@ -27,26 +27,29 @@ def compiled():
 
 
 SCRIPT = f"""{COMPILED}
-from emoflow_ros.config import Config
+from emoflow_ros.config import load_config
 from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, WindowSlicer
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.core.present_motion import PresentMotion
 from emoflow_ros.node.worker import _Worker
 from emoflow_ros.simulation.recording import simulate
 
-recording = simulate("calm", duration_s=0.9, seed=0)
 assert _Worker(make_estimator)._warm_up().keys() == {{"compiled"}}
 before = compiled()
-estimator = make_estimator(recording.camera, Config())
-present = PresentMotion(recording.camera, Config().estimator)
-windows = WindowSlicer(Config().window).push(recording.events)
-ok = moved = 0
-for window in windows:
-    estimate = estimator.estimate(window)
-    present.know(estimate)
-    ok += estimate.status == "ok"
-    moved += present.estimate(window.since(window.t_end - int(SLICE_MS * NS_PER_MS))) is not None
-assert len(windows) > 8 and ok > 5 and moved > 5 and sum(before.values()) > 20
+config = load_config()
+for scene in ("calm", "rotation"):
+    recording = simulate(scene, duration_s=0.9, seed=0)
+    estimator = make_estimator(recording.camera, config)
+    present = PresentMotion(recording.camera, config.estimator)
+    windows = WindowSlicer(config.window).push(recording.events)
+    ok = moved = 0
+    for window in windows:
+        estimate = estimator.estimate(window)
+        present.know(estimate)
+        ok += estimate.status == "ok"
+        slice_start = window.t_end - int(SLICE_MS * NS_PER_MS)
+        moved += present.estimate(window.since(slice_start)) is not None
+    assert len(windows) > 8 and ok > 5 and moved > 5 and sum(before.values()) > 20
 print([name for name, count in compiled().items() if count > before[name]])
 """
 
