@@ -9,6 +9,7 @@ from emoflow_ros.core.thinning import EventBudget
 # At 25 million events per second a window with a quarter of its events takes the worker a sixth
 # less, and the node half. Fewer save nothing more.
 _SMALLEST = 4
+_LATE = 2  # windows in a row that find the worker busy
 _EASE_S = 3.0
 
 
@@ -25,6 +26,7 @@ class EventShare:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.part = 1
         self._clock = clock
+        self._late = 0
         self._changed = clock()
 
     def note(self, *, is_busy: bool) -> bool:
@@ -33,10 +35,13 @@ class EventShare:
         Returns:
             Whether `part` has changed.
         """
-        now, part = self._clock(), self.part
-        if is_busy:
-            self._changed = now
-            part = min(2 * part, _SMALLEST)
+        now = self._clock()
+        self._late = self._late + 1 if is_busy else 0
+        part = self.part
+        if self._late:
+            self._changed = now if part > 1 else self._changed
+            if self._late >= _LATE:
+                part, self._late = min(2 * part, _SMALLEST), 0
         elif now - self._changed > _EASE_S:
             part = max(part // 2, 1)
         if part == self.part:
