@@ -51,10 +51,7 @@ class LatticeEstimator:
     """
 
     def __init__(
-        self,
-        camera: Camera,
-        config: LatticeConfig,
-        imu: GyroConfig | None = None,
+        self, camera: Camera, config: LatticeConfig, imu: GyroConfig | None = None
     ) -> None:
         self.config = config
         self._image = WorkingImage.of(camera)
@@ -84,12 +81,7 @@ class LatticeEstimator:
         return with_gyro(found, measurement, self.config)
 
     def refined(self, estimate: Estimate, depths: Depths) -> Estimate:
-        """Fit the flow of the last window again, with the motion of an estimate of it.
-
-        Args:
-            estimate: of the window.
-            depths: of the scene, in pixels of the sensor.
-        """
+        """Fit the flow of the last window again, with an estimate and depths on the sensor."""
         depths = replace(depths, points=depths.points / self._image.sensor_px)
         with self._threads.limit(limits=1, user_api="blas"):
             found = refined(self._fit, self._events, estimate, depths)

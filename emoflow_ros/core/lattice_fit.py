@@ -83,7 +83,7 @@ class LatticeFit:
     Attributes:
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion, or None before the flow is good enough to look for it.
-        structure: inverse depths known from earlier windows, or None.
+        structure: inverse depths known from earlier windows or of patches, or None.
         known: what a gyro says about the window's rotation, or None.
         straight: whether the motion is a pure translation.
         front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along

@@ -1,4 +1,4 @@
-"""What a worker says while it compiles, as at the first start on a machine. It imports numba."""
+"""Compilation, watched or refused: what a worker says at the first start. It imports numba."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -11,6 +11,7 @@ from emoflow_ros.core.thinning import EventBudget
 _SMALLEST = 4
 _LATE = 2  # windows in a row that find the worker busy
 _EASE_S = 3.0
+_ENOUGH = 10_000  # events in the latest 10 ms: an estimator needs some of them
 
 
 class EventShare:
@@ -52,4 +53,5 @@ class EventShare:
 
 def share_of(budget: EventBudget, part: int) -> EventBudget:
     """Return the budget of windows that may hold the n-th part of the usual events."""
-    return replace(budget, max_events=max(budget.max_events // part, 1))
+    enough = min(budget.max_events, _ENOUGH)
+    return replace(budget, max_events=max(budget.max_events // part, enough))

@@ -188,6 +188,8 @@ class Pipeline:
             self._forget_waiting()
             line = f"{self._input.jump}: the estimation starts anew"
             self._node.get_logger().info(line, **throttled())
+        if any(not task.is_slice for tasks in groups for task in tasks):
+            self._note_load()
         take = self._hand_on if self.imu is None else self.imu.push
         for tasks in groups:
             take(tasks)
@@ -245,8 +247,6 @@ class Pipeline:
         if not tasks:
             return
         self.is_topic_used = True
-        if self.statistics.share.note(is_busy=self._supervisor.busy_s > 0):
-            self.set_settings(self._settings)
         part = self.statistics.share.part
         shared = self._camera, self._settings.config, self._outputs.wishes, part
         jobs = [Job(task, *shared) for task in tasks]
@@ -255,6 +255,12 @@ class Pipeline:
             jobs = [job.thinned() for job in jobs]
         for left_out in queue.put(jobs):
             self._drop(left_out.task, self._why_slow())
+
+    def _note_load(self) -> None:
+        """Note whether windows find the worker busy, once for those that come together."""
+        is_busy = self._supervisor.busy_s > 0 and not self._supervisor.obstacle
+        if self._camera is not None and self.statistics.share.note(is_busy=is_busy):
+            self.set_settings(self._settings)
 
     def _why_slow(self) -> str:
         settings, supervisor = self._settings, self._supervisor

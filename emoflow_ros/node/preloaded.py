@@ -1,7 +1,7 @@
 """Imported by the process that workers are forked from: loads the compiled code for all of them.
 
 A worker shares the pages of that code, and estimates from its first window on. Where code has to be
-compiled first, nothing is loaded here: the compiler's memory would stay with every worker.
+compiled first, no more is loaded: the compiler's memory would stay with every worker.
 """
 
 import gc

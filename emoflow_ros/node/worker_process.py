@@ -167,11 +167,11 @@ class WorkerProcess:
         with contextlib.suppress(psutil.Error):  # the worker has died
             server = psutil.Process(self.pid).parent()
         self.end()
-        if server is None or server.ppid() != os.getpid():  # it has died, too
-            return
-        os.kill(server.pid, signal.SIGKILL)
-        # Not reaped here: multiprocessing looks for its end before the next start.
-        os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
+        with contextlib.suppress(psutil.Error, OSError):  # it has died, too
+            if server is not None and server.ppid() == os.getpid():
+                os.kill(server.pid, signal.SIGKILL)
+                # Not reaped here: multiprocessing looks for its end before the next start.
+                os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
 
     def _cause_of_death(self) -> str:
         if self._killed_because:
