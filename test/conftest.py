@@ -48,20 +48,12 @@ settings.load_profile("patient")
 sys.path.insert(0, str(ROOT / "test" / "recordings"))
 pytest_plugins = ["recording_fixtures"]
 
-# Of the first process, which compiles. What it estimates is for test_same_bits.py.
+# Of the first process, which compiles.
 _COMPILE = """
-import contextlib, runpy, sys
-from pathlib import Path
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.worker import _Worker
 
-folder = Path(sys.argv[1])
-if _Worker(make_estimator)._warm_up()["compiled"]:
-    script = runpy.run_path("test/core/test_same_bits.py")["SCRIPT"]
-    sys.argv[1:] = ["compile", str(folder / "estimator.pickle")]
-    with (folder / "unfinished").open("w") as file, contextlib.redirect_stdout(file):
-        exec(script)
-    (folder / "unfinished").rename(folder / "digest")
+_Worker(make_estimator)._warm_up()
 """
 FIRST_PROCESS = "EMOFLOW_TESTS_FIRST_PROCESS"  # names its folder to the processes of the tests
 COMPILES_NOTHING = "msg_adapters"  # tests of this folder need nothing of the estimator
@@ -106,7 +98,7 @@ def pytest_xdist_setupnodes() -> None:
     os.environ[FIRST_PROCESS] = folder.name
     with (Path(folder.name) / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        command = [sys.executable, "-c", _COMPILE, folder.name]
+        command = [sys.executable, "-c", _COMPILE]
         process = subprocess.Popen(command, cwd=ROOT, pass_fds=[lock.fileno()])
     _first_process.extend([folder, process])
 

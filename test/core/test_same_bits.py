@@ -106,13 +106,7 @@ def run(how: str, kept: Path, environment: dict[str, str]) -> str:
 
 
 def test_processes_that_compile_load_and_unpickle(tmp_path: Path) -> None:
-    """The first process of a run of the tests has compiled; without one, or if it has not, ours."""
-    environment, folder = dict(os.environ), Path(os.environ.get("EMOFLOW_TESTS_FIRST_PROCESS", "-"))
-    kept = folder / "estimator.pickle"
-    if (folder / "digest").exists():
-        digests = {(folder / "digest").read_text()}
-    else:
-        environment["NUMBA_CACHE_DIR"], kept = str(tmp_path / "cache"), tmp_path / kept.name
-        digests = {run("compile", kept, environment)}
-    digests |= {run(how, kept, environment) for how in ("load", "unpickle")}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    kept = tmp_path / "estimator.pickle"
+    digests = {run(how, kept, environment) for how in ("compile", "load", "unpickle")}
     assert len(digests) == 1
