@@ -85,7 +85,7 @@ def refined(
     prior = None
     if estimate.translation_observable:
         v = np.tile(estimate.linear, (CONTROL_POINTS, 1))
-        again.motion, again.front = Motion(points, v, fit.motion.speed), 1.0
+        again.motion, again.front = Motion(points, v), 1.0
         again.structure = depths.structure(again.lattice.pixels, again.config.spacing_px, seconds)
         prior = _prior(w[_TIMES // 2], estimate, seconds)
     else:
