@@ -1,6 +1,6 @@
 """Whether all that moves is one spot: perhaps an object before a camera at rest.
 
-Such an object is taken for a turn of the camera otherwise. Where the camera moves, the events
+Such an object is taken for a rotation of the camera otherwise. Where the camera moves, the events
 elsewhere become sharper, too, however few they are. Where it is at rest, they are noise.
 """
 

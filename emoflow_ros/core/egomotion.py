@@ -25,7 +25,7 @@ _REWEIGHTINGS = 4
 
 # How much likelier a motion of less flow is (docs/method.md): independent depths per node, and the
 # power of |w| that the probability of a rotation falls with.
-_DEPTHS, _TURNS = 0.02, 1.0
+_DEPTHS, _ROTATIONS = 0.02, 1.0
 
 # (3,) rad per window and its information (3, 3)
 type Rotation = tuple[Array, Array]
@@ -206,7 +206,7 @@ class NodeEpipolar:
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
             2 * _REWEIGHTINGS, *known,
         )  # fmt: skip
-        size = _TURNS * rotations.size_of_turn(w, self.px_per_rad) if sized else 0.0
+        size = _ROTATIONS * rotations.size_of_rotation(w, self.px_per_rad) if sized else 0.0
         return Explanations(np.zeros((1, 3)), w[None], np.array([residual]), np.array([size]))
 
     def _counted(self, information: Array) -> Array:
@@ -229,15 +229,15 @@ class NodeEpipolar:
         )  # fmt: skip
         return found
 
-    def turning(self, flow: Array, information: Array, v: Array) -> float:
-        """Measure by Wald's statistic whether the camera turns at all.
+    def rotating(self, flow: Array, information: Array, v: Array) -> float:
+        """Measure by Wald's statistic whether the camera rotates at all.
 
         Args:
             flow, information, v: as in `refine`.
 
         Returns:
             w^T C^-1 w / 3 with the covariance C of the fitted w, v unknown: 1 on average for a
-            camera that does not turn.
+            camera that does not rotate.
         """
         w, _, matrix = self.refine(flow, information, v)
         of_w = matrix[:3, :3] - matrix[:3, 3:] @ np.linalg.solve(matrix[3:, 3:], matrix[3:, :3])
@@ -252,11 +252,11 @@ class NodeEpipolar:
     ) -> Explanations:
         """Fit w for each v (M, 3) and its field of lines (M, nodes, 2)."""
         flow, information, known = evidence
-        depths, turns = (_DEPTHS, _TURNS) if sized else (0.0, 0.0)
+        depths, falling = (_DEPTHS, _ROTATIONS) if sized else (0.0, 0.0)
         found = Explanations(v, np.empty((len(v), 3)), np.empty(len(v)), np.empty(len(v)))
         rotations.best_rotations(
             lines, self.soft, self.b, flow, self._counted(information), self.inlier_px,
-            _REWEIGHTINGS, *known, depths, turns, self.px_per_rad,
+            _REWEIGHTINGS, *known, depths, falling, self.px_per_rad,
             found.w, found.residual, found.size,
         )  # fmt: skip
         return found

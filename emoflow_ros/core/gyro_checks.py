@@ -122,7 +122,7 @@ class FreezeWatch:
 class SteadyWatch:
     """Notices a gyro that has measured nothing but a constant and its noise for half a second.
 
-    This is the gyro of a camera at rest, or of one that travels or turns evenly.
+    This is the gyro of a camera at rest, or of one that translates or rotates evenly.
     """
 
     def __init__(self) -> None:

@@ -2,7 +2,7 @@
 
 Readings and events that come together should have about the same time. Where they have not, there
 are two clocks, or one of the two came late. The times alone do not tell which of them it is; the
-turning of the camera, which both measure, does.
+rotation of the camera, which both measure, does.
 """
 
 from collections import deque
@@ -82,7 +82,7 @@ class GyroClock:
 
 
 def find_offset(readings: GyroReadings, starts: Times, ends: Times, events: Array) -> int | None:
-    """Find what is to be added to a gyro's stamps, up to a second, from the turning of the camera.
+    """Find what is to be added to a gyro's stamps, up to a second, from the rotation of the camera.
 
     Args:
         readings: the gyro's; a bias does no harm.
@@ -90,8 +90,8 @@ def find_offset(readings: GyroReadings, starts: Times, ends: Times, events: Arra
         events: (M, 3) rad/s, angular velocity of the events in their middles.
 
     Returns:
-        The offset in ns; None where the camera turns too little or too evenly for one to stand out,
-        or fewer than 30 intervals have readings for a second on either side.
+        The offset in ns; None where the camera rotates too little or too evenly for one to stand
+        out, or fewer than 30 intervals have readings for a second on either side.
     """
     if not len(readings):
         return None

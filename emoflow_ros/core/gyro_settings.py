@@ -13,7 +13,7 @@ class GyroSettings:
 
     Attributes:
         reach_ns: further from a reading the angular velocity is not known, ns.
-        acceleration: how a camera may turn beyond the last reading, rad/s^2.
+        acceleration: how a camera may rotate beyond the last reading, rad/s^2.
         curvature: and between two, rad/s^3.
         clock_s: standard deviation of the offset between the clocks, s.
         floor, relative_floor: standard deviation of the difference between events and gyro although
@@ -28,7 +28,7 @@ class GyroSettings:
         first_memory_s: time constant until a gyro is confirmed, s.
         retry_s: time of disagreement after which a rejected gyro's bias is doubted once more, s.
         at_rest: standard deviation of w, rad/s, where the gyro is steady and the events show no
-            motion. If it is an even turn all the same, it is one in all windows:
+            motion. If it is an even rotation all the same, it is one in all windows:
         rest_s: together they count as one in so long, s.
         correlated_s: errors of the events' estimates that are nearer in time go together, s.
         most_doubt: of the bias, over what is expected of it.
@@ -49,7 +49,7 @@ class GyroSettings:
             coarse step apart.
         near_ns: around the best offset, ns.
         clock_compared, clock_fewest: windows that are compared for it, at most and at least.
-        explained: share of the turning's square, by the best offset.
+        explained: share of the rotation's square, by the best offset.
         elsewhere: what all offsets leave that are not near it, over what it leaves.
     """
 

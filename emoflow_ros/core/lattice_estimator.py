@@ -109,8 +109,8 @@ class LatticeEstimator:
             if warm and last is not None:
                 flows = last.flows(window)
                 if fit.known is not None:
-                    turned = last.rotation(window)
-                    flows += [fit.turned(flow, turned) for flow in flows]
+                    rotated = last.rotation(window)
+                    flows += [fit.rotated(flow, rotated) for flow in flows]
                 fit.flow = best_start(coarse, events, flows)
                 stop = self._fit_warm(events, last.predict(fit, window))
                 # After the deadline there is no time for a cold fit, even if the flow is lost.
@@ -140,8 +140,8 @@ class LatticeEstimator:
         constant = cold_start(fit.contrasts[0.25], events, self.lattice.shape)
         fit.flow = constant
         if fit.known is not None:
-            turned = fit.turned(np.zeros(self.lattice.shape, np.float32), np.zeros(3))
-            fit.flow = best_start(fit.contrasts[0.25], events, [constant, turned])
+            rotated = fit.rotated(np.zeros(self.lattice.shape, np.float32), np.zeros(3))
+            fit.flow = best_start(fit.contrasts[0.25], events, [constant, rotated])
         fit.motion = fit.structure = None
         fit.straight = False
         for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
@@ -220,7 +220,7 @@ class LatticeEstimator:
         sized = free.known is None
         here = epipolar.score(present, *free.evidence, sized=sized)
         others = epipolar.search(*free.evidence, sized=sized)
-        turn = epipolar.rotation(*free.evidence, sized=sized)
+        rotation = epipolar.rotation(*free.evidence, sized=sized)
         if prior is not None:
             # Trust earlier windows less if the motion puts part of the scene behind the camera.
             trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
@@ -236,7 +236,7 @@ class LatticeEstimator:
             middle = here.w[0]
         w = here.w[0]
         self._reader.possible = PossibleMotions.weigh(
-            (middle, present), here, others, turn, softness
+            (middle, present), here, others, rotation, softness
         )
         if switch and not rotates:
             fit.motion = Motion.constant(w, present)

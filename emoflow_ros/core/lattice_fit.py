@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 SCALES = (0.25, 0.5, 1.0)
 _ROTATION_STIFFNESS = 10.0  # times dec_weight: a rotation leaves the flow no freedom of its own
-_STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does not turn may have
+_STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does not rotate may have
 _STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
 
 # w and v in the middle of the window from the motion's unknowns, (6, 25).
@@ -111,9 +111,9 @@ class LatticeFit:
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.step_px = 0.0
         self._equations = NormalEquations(lattice, len(BY_POINTS))
-        self._smooth_turn = self._rotation_stiffness * _roughness(_OF_W)
-        self._smooth_travel = config.spline_roughness * _roughness(_OF_V)
-        self._stillness = np.zeros_like(self._smooth_turn)  # of a camera that does not turn
+        self._smooth_rotation = self._rotation_stiffness * _roughness(_OF_W)
+        self._smooth_translation = config.spline_roughness * _roughness(_OF_V)
+        self._stillness = np.zeros_like(self._smooth_rotation)  # of a camera that does not rotate
         self._stillness[_OF_W, _OF_W] = INFORMATION_EXCESS * self._of_no_turn * np.eye(_POINTS)
 
     @property
@@ -136,7 +136,7 @@ class LatticeFit:
         """Step the flow by contrast and smoothness alone."""
         self._move(self._equations.solve())
 
-    def turned(self, flow: NDArray[np.float32], w: Array) -> NDArray[np.float32]:
+    def rotated(self, flow: NDArray[np.float32], w: Array) -> NDArray[np.float32]:
         """Replace the rotation w (3,), rad per window, in a flow by what is known of it."""
         if self.known is None:
             return flow
@@ -165,8 +165,8 @@ class LatticeFit:
             part.by_motion[..., :3], part.by_motion[..., 3:] = -epipolar.b[:, None, d], 0.0
             equations.add_rows(part.by_flow, part.by_motion, weight, part.r)
         corner, corner_vector = equations.corner_of(BY_POINTS)
-        corner += self._smooth_turn
-        corner_vector -= self._smooth_turn @ motion.unknowns
+        corner += self._smooth_rotation
+        corner_vector -= self._smooth_rotation @ motion.unknowns
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
         corner[_POINTS:, _POINTS:] = np.eye(MOTION_UNKNOWNS - _POINTS)  # v is not asked for
@@ -197,7 +197,7 @@ class LatticeFit:
 
     @property
     def _known_rotation(self) -> Rotation | None:
-        """What the gyro says of w, or that the camera is known not to turn."""
+        """What the gyro says of w, or that the camera is known not to rotate."""
         if self.known is not None:
             return self.known.mean, self.known.information / INFORMATION_EXCESS
         if self.config.model == "translation":
@@ -206,7 +206,7 @@ class LatticeFit:
 
     @property
     def _of_no_turn(self) -> float:
-        """Information on each component of w, rad per window, of a camera that does not turn."""
+        """Information on each component of w, rad per window, of a camera that does not rotate."""
         return (self.epipolar.px_per_rad / _STRAIGHT_PX) ** 2
 
     @property
@@ -224,7 +224,7 @@ class LatticeFit:
         unknowns = motion.unknowns
         # v has no unit of its own: its stiffness goes by the evidence at hand.
         evidence = float(np.trace(corner[_OF_V, _OF_V])) / _POINTS
-        smooth = self._smooth_turn + evidence * self._smooth_travel
+        smooth = self._smooth_rotation + evidence * self._smooth_translation
         if self.straight:
             smooth += self._stillness
         corner += smooth

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.stream_settings import STREAM
-from emoflow_ros.core.uncertainty import without_travel
+from emoflow_ros.core.uncertainty import without_translation
 
 Array = NDArray[np.float64]
 
@@ -29,17 +29,17 @@ class Known:
     covariance: Array
 
     @property
-    def travels(self) -> bool:
+    def translates(self) -> bool:
         """Whether a direction of translation is known."""
         return bool(self.linear.any())
 
     def narrow(self) -> "Known":
         """Return it without a direction that is wider than 60 degrees."""
-        if not self.travels:
+        if not self.translates:
             return self
         if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= STREAM.widest**2:
             return self
-        return replace(self, linear=np.zeros(3), covariance=without_travel(self.covariance))
+        return replace(self, linear=np.zeros(3), covariance=without_translation(self.covariance))
 
     def held_against(self, covariance: Array) -> "Known":
         """Return it together with the evidence that w is zero, with a covariance (3, 3)."""
@@ -64,8 +64,8 @@ def carried(motion: Known, t: int, angular: float, direction: float) -> Known:
     seconds = max(0, t - motion.t) / NS_PER_S
     covariance = motion.covariance.copy()
     covariance[3:, 3:] += angular * seconds * np.eye(3)
-    if not motion.travels:
-        return Known(t, np.zeros(3), motion.angular, without_travel(covariance))
+    if not motion.translates:
+        return Known(t, np.zeros(3), motion.angular, without_translation(covariance))
     across = np.eye(3) - np.outer(motion.linear, motion.linear)
     covariance[:3, :3] += direction * seconds * across
     return Known(t, motion.linear, motion.angular, covariance).narrow()

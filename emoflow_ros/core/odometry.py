@@ -205,17 +205,17 @@ class Odometry:
         if found is None:
             return self.start()
         costs = state.costs
-        sure = len(costs) == back.rotation_windows and np.mean(costs) > back.surely_travels
+        sure = len(costs) == back.rotation_windows and np.mean(costs) > back.surely_translates
         skipped = sure and state.adjustments % back.check_every != 0
-        turned = None if skipped else rotating(problem, found, known, back)
-        if turned is not None and turned.cost < found.cost:
+        rotated = None if skipped else rotating(problem, found, known, back)
+        if rotated is not None and rotated.cost < found.cost:
             # Travel includes it: the search went astray.
-            found = best(problem, turned.x, known, [], back) or found
-        if turned is not None:
-            saved = (turned.cost - found.cost) / len(some)
+            found = best(problem, rotated.x, known, [], back) or found
+        if rotated is not None:
+            saved = (rotated.cost - found.cost) / len(some)
             costs = (*costs, saved)[-back.rotation_windows :]
             if np.mean(costs) < back.rotation_cost:
-                found = turned
+                found = rotated
         found = _unit_depth(found)
         try:
             walks = state.walks.learnt(found, known.seconds, back)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.estimate import PresentTwist
-from emoflow_ros.core.uncertainty import without_travel
+from emoflow_ros.core.uncertainty import without_translation
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class OutputBounds:
 
     def apply(self, found: PresentTwist) -> PresentTwist | None:
         """Return a motion without a direction that is too wide; None if w is too wide."""
-        covariance, travels = found.covariance, found.covariance[0, 0] >= 0
+        covariance, translates = found.covariance, found.covariance[0, 0] >= 0
         if self.angular and _widest(covariance[3:, 3:]) > self.angular:
             return None
-        if self.direction and travels and _widest(covariance[:3, :3]) > self.direction:
+        if self.direction and translates and _widest(covariance[:3, :3]) > self.direction:
             twist = replace(found.twist, linear=np.zeros(3))
-            return PresentTwist(twist, without_travel(covariance))
+            return PresentTwist(twist, without_translation(covariance))
         return found
 
 

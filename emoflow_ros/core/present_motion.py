@@ -34,7 +34,7 @@ from emoflow_ros.core.motion_prior import Known
 from emoflow_ros.core.preparation import WorkingImage, clean, prepare
 from emoflow_ros.core.present_scene import MEAN_NS, SeenScene, measured
 from emoflow_ros.core.stream_settings import STREAM
-from emoflow_ros.core.uncertainty import without_travel
+from emoflow_ros.core.uncertainty import without_translation
 
 Array = NDArray[np.float64]
 
@@ -120,11 +120,9 @@ class PresentMotion:
         covariance = scene.covariance + np.diag(drift * since)
         covariance[:3, :3] += variance * np.eye(3)
         change = expected.copy()
-        free = 6 if scene.travels else 3
+        free = 6 if scene.translates else 3
         fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
-        if (
-            fitted
-        ):  # the slice shows the change since; what the window took for turn or travel stays
+        if fitted:  # the slice shows the change since; what the window took for either motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
         if by_gyro is not None and at_end is not None:
@@ -183,7 +181,7 @@ class PresentMotion:
             angular_acceleration=change * (NS_PER_S / length),
             covariance=motion_covariance(estimate, v),
             known=known,
-            travels=estimate.translation_observable,
+            translates=estimate.translation_observable,
             gyro=measured(gyro, t) if used else None,
             bound=estimate.bound,
             measured=own,
@@ -267,14 +265,14 @@ def _held(
 def _read(t: int, scene: SeenScene, change: Array, covariance: Array) -> PresentTwist | None:
     w, v = np.split(scene.motion + change, 2)
     length = float(np.linalg.norm(v))
-    direction = v / length if scene.travels and length > 0 else np.zeros(3)
+    direction = v / length if scene.translates and length > 0 else np.zeros(3)
     across = np.eye(6)
-    if scene.travels and length > 0:
+    if scene.translates and length > 0:
         across[3:, 3:] = (np.eye(3) - np.outer(direction, direction)) / length
     order = np.r_[3:6, 0:3]
     of_twist = (across @ covariance @ across.T)[np.ix_(order, order)]
-    if not scene.travels:
-        of_twist = without_travel(of_twist)
+    if not scene.translates:
+        of_twist = without_translation(of_twist)
     if not (np.isfinite(w).all() and np.isfinite(of_twist).all()):
         return None
     return PresentTwist(Twist(t, direction, w), 0.5 * (of_twist + of_twist.T))

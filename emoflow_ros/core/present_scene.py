@@ -31,7 +31,7 @@ class SeenScene:
         angular_acceleration: (3,) mean over the window, rad/s^2.
         covariance: (6, 6) of the motion.
         known: the scene; None where the window had no flow.
-        travels: whether v is known.
+        translates: whether v is known.
         gyro: what the gyro measures around t, or None.
         bound: of the speed of later events, or None.
         measured: whether the window's own events told the motion.
@@ -44,7 +44,7 @@ class SeenScene:
     angular_acceleration: Array
     covariance: Array
     known: KnownScene | None
-    travels: bool
+    translates: bool
     gyro: Shape | None
     bound: SpeedBound | None = None
     measured: bool = True

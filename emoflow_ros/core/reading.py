@@ -17,7 +17,7 @@ from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.lattice_fit import FreeFlow, LatticeFit
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.selection import ModelSelector
-from emoflow_ros.core.uncertainty import PossibleMotions, without_travel
+from emoflow_ros.core.uncertainty import PossibleMotions, without_translation
 
 Array = NDArray[np.float64]
 
@@ -95,13 +95,13 @@ class EstimateReader:
         fit = self._fit
         assert fit.motion is not None
         model = selector.model
-        travels = model is not MotionModel.ROTATION
-        front = np.copysign(1.0, selector.agreement) if travels else 0.0
+        translates = model is not MotionModel.ROTATION
+        front = np.copysign(1.0, selector.agreement) if translates else 0.0
         if self._config.model == "auto" and not self.possible.agree:
             model, front = MotionModel.ROTATION, 0.0
         covariance = belief.facing(front or 1.0).across()
         if model is MotionModel.ROTATION:
-            covariance = without_travel(covariance)
+            covariance = without_translation(covariance)
         w, v = fit.motion.at(0.5)
         length = float(np.linalg.norm(basis(0.5) @ fit.motion.v))
         lattice, field = self._image.on_sensor(fit.lattice, fit.flow)
@@ -139,14 +139,14 @@ class EstimateReader:
         fit, epipolar = self._fit, self._epipolar
         assert fit.motion is not None
         possible = PossibleMotions()
-        turn = epipolar.rotation(*free.seen, sized=False)
-        w = turn.w[0]
+        rotation = epipolar.rotation(*free.seen, sized=False)
+        w = rotation.w[0]
         if model is not MotionModel.ROTATION:
             v = fit.motion.at(0.5)[1]
             here = epipolar.score(v, *free.seen, sized=False)
             others = epipolar.search(*free.seen, sized=False)
             w = here.w[0]
-            possible = PossibleMotions.weigh((w, v), here, others, turn)
+            possible = PossibleMotions.weigh((w, v), here, others, rotation)
         covariance = possible.covariance(1.0, epipolar.px_per_rad, sized=False)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend
         return w + possible.mean[:3] + bend, covariance
@@ -170,7 +170,7 @@ def with_gyro(
 
     What the events know of w is in the gyro's bias by then: counted again in every window they
     would make w too sure, and no better. Where the events give nothing, the gyro alone tells w. A
-    camera that is known not to turn needs no gyro.
+    camera that is known not to rotate needs no gyro.
 
     Args:
         estimate: of a window, by its events.
@@ -183,15 +183,15 @@ def with_gyro(
     covariance = estimate.covariance.copy()
     covariance[3:, 3:] = measurement.middle_covariance
     points = measurement.control_points()
-    travel = np.zeros_like(points)
+    linear = np.zeros_like(points)
     found = replace(estimate, status=Status.OK, angular=measurement.middle, covariance=covariance)
     if estimate.status is not Status.OK:
         found = replace(
             found,
             model=MotionModel.ROTATION,
             linear=np.zeros(3),
-            covariance=without_travel(covariance),
+            covariance=without_translation(covariance),
         )
     elif isinstance(estimate.motion, SplineMotion):
-        travel = estimate.motion.linear_points
-    return replace(found, motion=SplineMotion(found.t_start, found.t_end, points, travel))
+        linear = estimate.motion.linear_points
+    return replace(found, motion=SplineMotion(found.t_start, found.t_end, points, linear))

@@ -29,7 +29,7 @@ from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.preparation import WorkingImage
 from emoflow_ros.core.refinement import Depths
 from emoflow_ros.core.scene import depths_now, motion_field
-from emoflow_ros.core.uncertainty import without_travel
+from emoflow_ros.core.uncertainty import without_translation
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -159,7 +159,7 @@ class RememberingEstimator:
             covariance[3:, 3:] = found.covariance[3:, 3:]
             covariance[:3, 3:] = covariance[3:, :3] = 0.0
         speed = float(np.linalg.norm(motion.linear))
-        if adjusted.travels and speed > 0:
+        if adjusted.translates and speed > 0:
             across = np.eye(6)
             linear = motion.linear / speed
             side = np.eye(3) - np.outer(linear, linear)
@@ -168,11 +168,11 @@ class RememberingEstimator:
             if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
                 model = MotionModel.FULL
         if model is MotionModel.ROTATION:
-            linear, covariance = np.zeros(3), without_travel(covariance)
+            linear, covariance = np.zeros(3), without_translation(covariance)
         assert found.motion is not None
-        turning = found.motion if by_gyro else None
-        travels = model is MotionModel.FULL
-        told = AdjustedMotion(state.t, adjusted.x, travels, found.motion, turning)
+        gyro = found.motion if by_gyro else None
+        translates = model is MotionModel.FULL
+        told = AdjustedMotion(state.t, adjusted.x, translates, found.motion, gyro)
         estimate = replace(
             found,
             status=Status.OK,

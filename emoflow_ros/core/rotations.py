@@ -16,7 +16,7 @@ _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 @_compiled
 def best_rotations(
     line: F64, soft: float, b: F64, flow: F64, evidence: F64, inlier: float, reweightings: int,
-    known: F64, information: F64, depths: float, turns: float, px_per_rad: float,
+    known: F64, information: F64, depths: float, falling: float, px_per_rad: float,
     w: F64, residual: F64, size: F64,
 ) -> None:  # fmt: skip
     """Fit a rotation to each field of epipolar lines: robust least squares in n . (u - b w).
@@ -25,7 +25,7 @@ def best_rotations(
     u - b w, not the part across the line alone: no depth explains it. v's sign is the one that
     makes this cheaper. The size of both parts of the flow has a cost of its own (docs/method.md):
 
-        depths sum weight [ln(1 + e) + q^2 / (var (1 + e))] + turns ln(|w|^2 f^2 + least^2)
+        depths sum weight [ln(1 + e) + q^2 / (var (1 + e))] + falling ln(|w|^2 f^2 + least^2)
 
     with q the translational flow along the lines, var its variance, e var the variance that depths
     of an unknown common scale give it, and f the focal length.
@@ -41,7 +41,7 @@ def best_rotations(
         known: (3,) what w is expected to be.
         information: (3, 3) of that; zero where nothing is known.
         depths: independent depths per node.
-        turns: the power of |w| that a rotation's probability falls with.
+        falling: the power of |w| that a rotation's probability falls with.
         px_per_rad: focal length.
         w: (M, 3), written.
         residual, size: (M,) costs, written.
@@ -65,7 +65,7 @@ def best_rotations(
             for j in range(3):
                 across[j, n] = x * b[n, 1, j] - y * b[n, 0, j]
                 along[j, n] = x * b[n, 0, j] + y * b[n, 1, j]
-        share, scale, turning = 0.0, 1.0, 0.0  # the first solution does not know any size
+        share, scale, shrinking = 0.0, 1.0, 0.0  # the first solution does not know any size
         for _ in range(reweightings):
             matrix, vector = information.copy(), information @ known
             _add_squares(weight * of_side, across, side, matrix, vector)
@@ -73,7 +73,7 @@ def best_rotations(
                 of_size = share * weight * of_length / (1 + of_length * scale * squared)
                 _add_squares(of_size, along, length, matrix, vector)
             for i in range(3):
-                matrix[i, i] += turning
+                matrix[i, i] += shrinking
             w[m] = _solve(_regular(matrix), vector)
             w0, w1, w2 = w[m, 0], w[m, 1], w[m, 2]
             moved, reach = 0.0, 1e-9
@@ -85,7 +85,7 @@ def best_rotations(
                 moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX**2)
                 reach += weight[n] * of_length[n] * squared[n]
             share, scale = depths, moved / reach
-            turning = turns / (w[m] @ w[m] + (_LEAST_FLOW_PX / px_per_rad) ** 2)
+            shrinking = falling / (w[m] @ w[m] + (_LEAST_FLOW_PX / px_per_rad) ** 2)
         ahead, behind, sizes = 0.0, 0.0, 0.0
         for n in range(nodes):
             r, q = side[n], length[n]
@@ -101,7 +101,7 @@ def best_rotations(
                 excess = of_length[n] * scale * squared[n]
                 sizes += weight[n] * (np.log(1 + excess) + of_length[n] * q * q / (1 + excess))
         residual[m] = min(ahead, behind) + _surprise(w[m] - known, information)
-        size[m] = depths * sizes + turns * size_of_turn(w[m], px_per_rad)
+        size[m] = depths * sizes + falling * size_of_rotation(w[m], px_per_rad)
 
 
 @_compiled
@@ -138,7 +138,7 @@ def _solve(matrix: F64, vector: F64) -> F64:
 
 
 @_compiled
-def size_of_turn(w: F64, px_per_rad: float) -> float:
+def size_of_rotation(w: F64, px_per_rad: float) -> float:
     """Logarithm of the square of the flow, px, that a rotation w (3,) makes."""
     return float(np.log((w @ w) * px_per_rad**2 + _LEAST_FLOW_PX**2))
 

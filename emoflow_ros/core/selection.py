@@ -1,4 +1,4 @@
-"""Which motion the evidence supports: rotation alone, travel alone, or both."""
+"""Which motion the evidence supports: rotation alone, translation alone, or both."""
 
 from dataclasses import dataclass
 
@@ -25,10 +25,10 @@ _FREEDOM = 4.5
 _NOTHING_PX = 0.15
 _NOTHING_SHARE = 0.015
 _HYSTERESIS = 1.25  # of a rotation ...
-_INERTIA = 1.5  # ... and of travel, which passes through moments that look like rotation
-_STRAIGHT = 0.7  # Wald's statistic up to which a camera that travels is taken not to turn ...
-_TURNING = 1.2  # ... until it comes to this
-_SETTLED = 4  # windows that travel without rotation takes to be believed
+_INERTIA = 1.5  # ... and of translation, which passes through moments that look like rotation
+_STRAIGHT = 0.7  # Wald's statistic up to which a camera that translates is taken not to rotate ...
+_ROTATING = 1.2  # ... until it comes to this
+_SETTLED = 4  # windows that translation without rotation takes to be believed
 
 
 @dataclass
@@ -42,7 +42,7 @@ class ModelSelector:
         residual_share: the same over the flow itself.
         advantage: cost of the best rotation over that of the best full motion, over what
             the freedom of the latter brings by itself; logarithm.
-        turning: Wald's statistic of w, 1 for a camera that does not turn.
+        rotating: Wald's statistic of w, 1 for a camera that does not rotate.
         windows: how many have been weighed.
         model: the present decision.
     """
@@ -51,7 +51,7 @@ class ModelSelector:
     residual_px: float = 0.0
     residual_share: float = 0.0
     advantage: float = 0.0
-    turning: float = 0.0
+    rotating: float = 0.0
     model: MotionModel = MotionModel.FULL
     windows: int = 0
 
@@ -77,14 +77,14 @@ class ModelSelector:
         left = _evident_norm(free.flow - epipolar.b @ rotation.w[0], free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
-        turning = epipolar.turning(free.flow, free.information / INFORMATION_EXCESS, v)
+        rotating = epipolar.rotating(free.flow, free.information / INFORMATION_EXCESS, v)
         past = _FORGETTING if self.windows else 0.0
         for name, value in (
             ("agreement", agreement),
             ("residual_px", median),
             ("residual_share", median / max(speed, 1e-6)),
             ("advantage", float(np.log(more + 1e-12))),
-            ("turning", turning),
+            ("rotating", rotating),
         ):
             setattr(self, name, past * getattr(self, name) + (1 - past) * value)
         self.windows += 1
@@ -99,10 +99,10 @@ class ModelSelector:
             and self.residual_share < _ERROR_SHARE * slack
             and self.advantage < np.log(slack)
         )
-        bound = _TURNING if self.model is MotionModel.TRANSLATION else _STRAIGHT
+        bound = _ROTATING if self.model is MotionModel.TRANSLATION else _STRAIGHT
         if rotates:
             self.model = MotionModel.ROTATION
-        elif self.windows >= _SETTLED and self.turning < bound and free.known is None:
+        elif self.windows >= _SETTLED and self.rotating < bound and free.known is None:
             self.model = MotionModel.TRANSLATION
         else:
             self.model = MotionModel.FULL

@@ -29,7 +29,7 @@ from emoflow_ros.core.gyro_checks import GyroState
 from emoflow_ros.core.lattice_config import LatticeConfig
 from emoflow_ros.core.motion_prior import Known, carried
 from emoflow_ros.core.stream_settings import STREAM
-from emoflow_ros.core.uncertainty import without_travel
+from emoflow_ros.core.uncertainty import without_translation
 
 Array = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ class ContinuousEstimator:
             seen = Gauge.measured(self._camera, window, found)
             gauge = gauge if seen is None else seen.beside(gauge)
         motion = Known(found.t, found.linear, found.angular, found.covariance).narrow()
-        if not motion.travels and found.translation_observable:
+        if not motion.translates and found.translation_observable:
             found = replace(found, model=MotionModel.ROTATION, linear=np.zeros(3))
         found = replace(found, covariance=motion.covariance, bound=gauge)
         on = float(window.events.p.mean()) if len(window.events) else state.on
@@ -214,7 +214,7 @@ def _disbelieved(found: Estimate) -> Estimate:
         flow=None,
         model=MotionModel.ROTATION,
         linear=np.zeros(3),
-        covariance=without_travel(found.covariance),
+        covariance=without_translation(found.covariance),
         quality=replace(found.quality, stop_reason=str(Status.NO_MOTION)),
     )
 
@@ -223,7 +223,7 @@ def _within(t: int, of_w: Array) -> Known:
     """Return w = 0 within a covariance (3, 3), (rad/s)^2; nothing is known of v."""
     covariance = np.zeros((6, 6))
     covariance[3:, 3:] = of_w
-    return Known(t, np.zeros(3), np.zeros(3), without_travel(covariance))
+    return Known(t, np.zeros(3), np.zeros(3), without_translation(covariance))
 
 
 def _fullest(window: Window) -> Events:
@@ -242,7 +242,7 @@ def _told(found: Estimate, motion: Known, status: Status, bound: Gauge | None) -
     return replace(
         found,
         status=status,
-        model=MotionModel.FULL if motion.travels else model,
+        model=MotionModel.FULL if motion.translates else model,
         linear=motion.linear,
         angular=motion.angular,
         covariance=motion.covariance,

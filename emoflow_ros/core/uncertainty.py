@@ -55,7 +55,7 @@ class Explanations:
     The costs are minus twice logarithms of a probability.
 
     Attributes:
-        v: (M, 3) unit directions; zero for a camera that only turns.
+        v: (M, 3) unit directions; zero for a camera that only rotates.
         w: (M, 3) rad per window.
         residual: (M,) cost of what the motion leaves of the flow, and of other knowledge of w.
         size: (M,) cost of how much flow it takes, and of what was known before.
@@ -117,28 +117,28 @@ class PossibleMotions:
         cls,
         present: tuple[Array, Array],
         here: Explanations,
-        travels: Explanations,
+        translates: Explanations,
         rotation: Explanations,
         temperature: float = 1.0,
     ) -> "PossibleMotions":
         """Weigh motions by exp(-cost / (2 temperature)).
 
-        Before the flow is seen a camera that only turns is as likely as all travels together.
+        Before the flow is seen a camera that only rotates is as likely as all translations are.
 
         Args:
             present: w (3,) in rad per window and unit v (3,) of the present motion.
             here: what it costs.
-            travels: other motions.
-            rotation: a camera that only turns.
+            translates: other motions.
+            rotation: a camera that only rotates.
             temperature: temperature of the window.
         """
-        signs = np.where(travels.v @ present[1] < 0, -1.0, 1.0)[:, None]
-        turn = np.concatenate([rotation.w[0] - present[0], np.zeros(3)])
-        others = np.hstack([travels.w - present[0], signs * travels.v - present[1]])
-        apart = np.vstack([np.zeros(6), others, turn])
-        cost = np.concatenate([here.cost, travels.cost, rotation.cost])
+        signs = np.where(translates.v @ present[1] < 0, -1.0, 1.0)[:, None]
+        alone = np.concatenate([rotation.w[0] - present[0], np.zeros(3)])
+        others = np.hstack([translates.w - present[0], signs * translates.v - present[1]])
+        apart = np.vstack([np.zeros(6), others, alone])
+        cost = np.concatenate([here.cost, translates.cost, rotation.cost])
         weight = np.exp(-0.5 * (cost - cost.min()) / temperature)
-        weight[-1] *= len(travels.v)
+        weight[-1] *= len(translates.v)
         weight /= weight.sum()
         mean = weight @ apart
         return cls(mean, (weight[:, None] * apart).T @ apart - np.outer(mean, mean))
@@ -171,7 +171,7 @@ class PossibleMotions:
         return np.linalg.inv(information)
 
 
-def without_travel(covariance: Array) -> Array:
+def without_translation(covariance: Array) -> Array:
     """Mark the covariance (6, 6) of (v, w) as without v (REP-145's idiom)."""
     result = np.zeros((6, 6))
     result[0, 0] = -1.0

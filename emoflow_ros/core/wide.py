@@ -16,7 +16,7 @@ def why_wide(estimate: Estimate) -> str:
     Returns:
         What kept a motion from being measured (a Status or `brightness`), or of a measured one
         `start`: no window before it helps; `events`: they are few; `motion`: it sharpens the
-        events little; else `ambiguous`: a turn and a travel explain the flow alike.
+        events little; else `ambiguous`: a rotation and a translation explain the flow alike.
     """
     if estimate.status in (Status.CARRIED, Status.BOUNDED, Status.LOST):
         return estimate.quality.stop_reason
@@ -34,5 +34,5 @@ def _is_wide(estimate: Estimate) -> bool:
     covariance = estimate.covariance
     if np.linalg.eigvalsh(covariance[3:, 3:])[-1] > _NARROW_W**2:
         return True
-    travels = estimate.translation_observable
-    return travels and bool(np.linalg.eigvalsh(covariance[:3, :3])[-1] > _NARROW_V**2)
+    translates = estimate.translation_observable
+    return translates and bool(np.linalg.eigvalsh(covariance[:3, :3])[-1] > _NARROW_V**2)

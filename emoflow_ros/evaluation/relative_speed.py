@@ -24,7 +24,7 @@ class RelativeSpeed:
         Where the memory began anew in between, the camera is taken to go on as fast as before.
         """
         motion = estimate.motion
-        if not isinstance(motion, AdjustedMotion) or not motion.travels:
+        if not isinstance(motion, AdjustedMotion) or not motion.translates:
             self._last = None
             return float("nan")
         own = float(np.linalg.norm(interpolated(motion.times, motion.x, estimate.t)[1]))

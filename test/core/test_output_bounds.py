@@ -7,7 +7,7 @@ import pytest
 
 from emoflow_ros.core.estimate import PresentTwist, Twist
 from emoflow_ros.core.output_bounds import OutputBounds
-from emoflow_ros.core.uncertainty import without_travel
+from emoflow_ros.core.uncertainty import without_translation
 
 V, W = np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.3])
 
@@ -42,5 +42,5 @@ def test_of_a_motion_whose_direction_is_wider_the_angular_velocity_is_given():
 
 
 def test_a_direction_that_is_not_there_is_not_too_wide():
-    nothing = PresentTwist(Twist(7, np.zeros(3), W), without_travel(np.eye(6)))
+    nothing = PresentTwist(Twist(7, np.zeros(3), W), without_translation(np.eye(6)))
     assert OutputBounds(direction=0.1).apply(nothing) is nothing

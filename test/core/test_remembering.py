@@ -34,9 +34,9 @@ class Run:
         """Errors of w (deg/s) and of the direction of translation (deg), settled windows."""
         w, v = [], []
         for e in self.estimates[SETTLED:]:
-            travel = self.recording.truth.twist(e.t)[0]
+            linear = self.recording.truth.twist(e.t)[0]
             w.append(self.error(e))
-            unit = travel / np.linalg.norm(travel)
+            unit = linear / np.linalg.norm(linear)
             v.append(float(np.degrees(np.arccos(np.clip(e.linear @ unit, -1, 1)))))
         return w, v
 

@@ -66,7 +66,7 @@ def test_the_statistic_of_turning_is_one_for_a_camera_that_does_not():
     found = []
     for seed in range(300):
         free = turned(np.zeros(3), seed)
-        found.append(EPIPOLAR.turning(free.flow, free.information / INFORMATION_EXCESS, V))
+        found.append(EPIPOLAR.rotating(free.flow, free.information / INFORMATION_EXCESS, V))
     # A chi-squared over its 3 degrees of freedom: mean 1, variance 2 / 3.
     assert np.mean(found) == pytest.approx(1, abs=0.15)
     assert np.var(found) == pytest.approx(2 / 3, rel=0.4)
@@ -76,7 +76,7 @@ def test_the_statistic_of_turning_grows_with_the_square_of_the_rotation():
     exact = (EPIPOLAR.a @ V) / DEPTH[:, None]
     information = CERTAIN / 0.09
     found = [
-        EPIPOLAR.turning(exact + EPIPOLAR.b @ (k * np.array([2e-4, -1e-4, 3e-4])), information, V)
+        EPIPOLAR.rotating(exact + EPIPOLAR.b @ (k * np.array([2e-4, -1e-4, 3e-4])), information, V)
         for k in (1, 2, 4)
     ]
     np.testing.assert_allclose(found[1:], [4 * found[0], 16 * found[0]], rtol=0.02)
@@ -100,7 +100,7 @@ def test_a_turn_of_a_few_standard_deviations_ends_straight_travel():
     w = np.array([0.0, 0.006, 0.0])
     models = [selector.update(EPIPOLAR, turned(w, seed, share=0.4), still, V) for seed in range(6)]
     assert models[-1] is MotionModel.FULL
-    assert selector.turning > 4
+    assert selector.rotating > 4
 
 
 def test_agreement_is_plus_one_before_and_minus_one_behind_the_camera():
@@ -174,5 +174,5 @@ def test_without_evidence_nothing_fails():
     selector = ModelSelector()
     selector.update(EPIPOLAR, nothing, np.zeros(3), V)
     assert selector.agreement == 0.0
-    figures = (selector.residual_px, selector.residual_share, selector.advantage, selector.turning)
+    figures = (selector.residual_px, selector.residual_share, selector.advantage, selector.rotating)
     assert np.isfinite(figures).all()

@@ -87,13 +87,13 @@ def test_a_gyro_tells_w_while_the_light_goes_out(stream):
     events = darkness(MOVES_UNTIL_S)
     state = after_motion(stream, events)
     at = window(events, 472.5)
-    travels = replace(
+    translates = replace(
         measured(at, 900.0), gyro=GyroStatus(GyroState.USED), model=MotionModel.FULL,
         linear=np.array([0.0, 0.0, 1.0]), covariance=1e-4 * np.eye(6),
     )  # fmt: skip
-    state, told = stream.step(state, at, travels)
+    state, told = stream.step(state, at, translates)
     assert (told.status, told.by_events) == (Status.OK, Status.NO_MOTION)
-    np.testing.assert_array_equal(told.angular, travels.angular)
+    np.testing.assert_array_equal(told.angular, translates.angular)
     assert told.flow is None and not told.translation_observable and told.covariance[0, 0] == -1
     assert state.gauge is None
 
@@ -175,11 +175,11 @@ def test_a_measured_motion_is_passed_on_however_wide_it_is(stream):
 def test_a_direction_is_unknown_from_60_degrees_on(stream, degrees, given):
     at = window(stops(), 200)
     covariance = np.diag([np.radians(degrees) ** 2, 0.1, 0.0, 1.0, 1.0, 1.0])
-    travels = replace(
+    translates = replace(
         measured(at, 100.0), model=MotionModel.FULL, linear=np.array([0.0, 0.0, 1.0]),
         covariance=covariance,
     )  # fmt: skip
-    _, told = stream.step(State(), at, travels)
+    _, told = stream.step(State(), at, translates)
     assert told.status is Status.OK and told.translation_observable is given
     assert told.linear.any() == given and (told.covariance[0, 0] >= 0) == given
     np.testing.assert_array_equal(told.covariance[3:, 3:], np.eye(3))
@@ -188,16 +188,16 @@ def test_a_direction_is_unknown_from_60_degrees_on(stream, degrees, given):
 def test_a_direction_gets_wider_across_itself_until_it_is_unknown(stream):
     at = window(stops(), 400)
     v = np.array([0.0, 0.0, 1.0])
-    travels = replace(
+    translates = replace(
         measured(at, 100.0), model=MotionModel.FULL, linear=v,
         covariance=np.diag([0.01, 0.01, 0.0, 1e-4, 1e-4, 1e-4]),
     )  # fmt: skip
-    state, _ = stream.step(State(), at, travels)
+    state, _ = stream.step(State(), at, translates)
     told = go_on(stream, state, scene(0.0, 2.0, 0.001), 467.5, 850, Status.TOO_FEW_EVENTS)
     first, last = told[0], told[-1]
     np.testing.assert_array_equal(first.linear, v)
     drift = np.radians(LatticeConfig().direction_drift) ** 2
-    expected = 0.01 + drift * (first.t - travels.t) * 1e-9
+    expected = 0.01 + drift * (first.t - translates.t) * 1e-9
     np.testing.assert_allclose(np.diag(first.covariance)[:3], [expected, expected, 0.0])
     assert last.status is Status.CARRIED and last.covariance[0, 0] == -1 and not last.linear.any()
 

@@ -8,7 +8,7 @@ from emoflow_ros.core.uncertainty import (
     PossibleMotions,
     temperature,
     trusted,
-    without_travel,
+    without_translation,
 )
 
 W = np.array([0.02, -0.05, 0.03])  # rad per window
@@ -35,7 +35,7 @@ def explain(v, w, excess, residual: float = 0.0) -> Explanations:
 def weigh(
     w, v, excess: float, turn_excess: float = NEVER, temperature: float = 1.0
 ) -> PossibleMotions:
-    """One other motion that travels, and a camera that only turns, by what they cost more."""
+    """One other motion that translates, and a camera that only rotates, by what they cost more."""
     turn = explain(np.zeros(3), np.zeros(3), turn_excess)
     return PossibleMotions.weigh(
         (W, V), explain(V, W, 0.0), explain(v, w, excess), turn, temperature
@@ -149,7 +149,7 @@ def test_motions_agree_unless_another_one_far_off_is_possible(angle, excess, agr
 
 
 def test_without_travel_only_the_rotation_s_part_is_left():
-    covariance = without_travel(np.arange(36.0).reshape(6, 6))
+    covariance = without_translation(np.arange(36.0).reshape(6, 6))
     assert covariance[0, 0] == -1
     np.testing.assert_array_equal(covariance[3:, 3:], np.arange(36.0).reshape(6, 6)[3:, 3:])
     assert np.count_nonzero(covariance[:3]) == 1 and not covariance[3:, :3].any()

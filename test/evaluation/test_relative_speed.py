@@ -20,7 +20,7 @@ def position(t):
     return s + 0.5 * s**2
 
 
-def adjusted(first: int, unit: float, travels: bool = True) -> AdjustedMotion:
+def adjusted(first: int, unit: float, translates: bool = True) -> AdjustedMotion:
     """An adjustment over twelve nodes; its unit of length has so many metres."""
     times = (first + np.arange(NODES)) * STEP
     place, velocity = np.zeros((NODES, 3)), np.zeros((NODES, 3))
@@ -29,7 +29,7 @@ def adjusted(first: int, unit: float, travels: bool = True) -> AdjustedMotion:
     x = Unknowns(
         np.tile(np.eye(3), (NODES, 1, 1)), place, np.zeros((NODES, 3)), velocity, np.zeros(0)
     )
-    return AdjustedMotion(times, x, travels, SplineMotion(0, 1, *np.zeros((2, 4, 3))))
+    return AdjustedMotion(times, x, translates, SplineMotion(0, 1, *np.zeros((2, 4, 3))))
 
 
 def estimate(motion: object, t: int) -> Estimate:
@@ -37,8 +37,8 @@ def estimate(motion: object, t: int) -> Estimate:
     return Estimate(t, t, t, Status.OK, quality, model=MotionModel.FULL, motion=motion)  # type: ignore[arg-type]
 
 
-def follow(pace: RelativeSpeed, first: int, unit: float, *, travels: bool = True) -> float:
-    motion = adjusted(first, unit, travels)
+def follow(pace: RelativeSpeed, first: int, unit: float, *, translates: bool = True) -> float:
+    motion = adjusted(first, unit, translates)
     return pace.follow(estimate(motion, int(motion.times[-2])))
 
 
@@ -59,7 +59,7 @@ def test_a_memory_that_begins_anew_goes_on_as_fast(between):
     if between == "no motion":
         assert np.isnan(pace.follow(estimate(None, 0)))
     if between == "rotation":
-        assert np.isnan(follow(pace, 2, 2.0, travels=False))
+        assert np.isnan(follow(pace, 2, 2.0, translates=False))
     after = follow(pace, 40, 0.5)
     assert after == pytest.approx(before)
     later = follow(pace, 43, 3.0)

@@ -124,11 +124,11 @@ def test_covariance_is_wide_along_a_direction_without_a_scale(bench: Callable[..
         b.publish(1000 if scale == "none" else 1010, covariance=np.diag([1.0, 2, 3, 4, 5, 6]))
         twist = b.last("twist_with_covariance").twist
         found = np.reshape(twist.covariance, (6, 6))[:3, :3]
-        travel = np.array(vector(twist.twist.linear))
+        linear = np.array(vector(twist.twist.linear))
         if scale == "none":
-            np.testing.assert_allclose(travel @ found @ travel, 1e6, rtol=1e-5)
-            found -= 1e6 * np.outer(travel, travel)
-        np.testing.assert_allclose(found, np.diag([3.0, 1, 2]) * (travel @ travel), atol=1e-8)
+            np.testing.assert_allclose(linear @ found @ linear, 1e6, rtol=1e-5)
+            found -= 1e6 * np.outer(linear, linear)
+        np.testing.assert_allclose(found, np.diag([3.0, 1, 2]) * (linear @ linear), atol=1e-8)
     b.publish(1020, covariance=np.diag([-1.0, 0, 0, 4, 5, 6]), linear=np.zeros(3))
     found = np.reshape(b.last("twist_with_covariance").twist.covariance, (6, 6))
     np.testing.assert_allclose(found, np.diag([1e6, 1e6, 1e6, 6, 4, 5]), atol=1e-8)

@@ -32,7 +32,7 @@ class Adjusted:
         squares: (O,) of each observation, over the variance.
         matrix: (U, U) normal equations of the free unknowns of the nodes, depths taken out.
         free: (U,) which unknowns of the nodes these are.
-        travels: False where the camera was held at one place.
+        translates: False where the camera was held at one place.
     """
 
     x: Unknowns
@@ -40,7 +40,7 @@ class Adjusted:
     squares: Array
     matrix: Array
     free: NDArray[np.int64]
-    travels: bool
+    translates: bool
 
     @cached_property
     def covariance(self) -> Array:
@@ -62,7 +62,7 @@ class Adjusted:
 
 def adjust(
     observations: Observations, start: Unknowns, prior: Prior, outlier: float, steps: int,
-    depths: tuple[float, float], *, travels: bool = True,
+    depths: tuple[float, float], *, translates: bool = True,
 ) -> Adjusted:  # fmt: skip
     """Adjust from a start.
 
@@ -73,22 +73,22 @@ def adjust(
         outlier: distance in standard deviations from which an observation counts little.
         steps: at most.
         depths: least and largest inverse depth.
-        travels: whether the camera may move from its place, or turns only.
+        translates: whether the camera may move from its place, or rotates only.
 
     Raises:
         numpy.linalg.LinAlgError: the equations are not positive definite, or nothing is finite.
     """
-    free = free_unknowns(len(start.position), travels)
+    free = free_unknowns(len(start.position), translates)
     x, cost, squares, matrix = descend(observations, start, prior, outlier, steps, free, depths)
     if not np.isfinite(cost):
         raise np.linalg.LinAlgError("the cost is not finite")
-    return Adjusted(x, cost, squares, matrix, free, travels)
+    return Adjusted(x, cost, squares, matrix, free, translates)
 
 
-def free_unknowns(nodes: int, travels: bool) -> NDArray[np.int64]:
+def free_unknowns(nodes: int, translates: bool) -> NDArray[np.int64]:
     """Indices of the unknowns that are adjusted: not the newest pose."""
     unknown = np.ones((nodes, NODE), np.bool_)
     unknown[-1, :6] = False
-    if not travels:
+    if not translates:
         unknown[:, 3:6] = unknown[:, 9:] = False
     return np.flatnonzero(unknown)

@@ -77,24 +77,24 @@ class Equations(NamedTuple):
 
 
 @_compiled
-def turned(rotation: Array, step: Array) -> Array:
+def rotated(rotation: Array, step: Array) -> Array:
     """Rotation (3, 3) times the exponential of a rotation vector (3,)."""
     angle = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
     a = math.sin(angle) / angle if angle > 1e-9 else 1.0
     b = (1 - math.cos(angle)) / angle**2 if angle > 1e-6 else 0.5
     x, y, z = step[0], step[1], step[2]
-    turn = np.empty((3, 3))
-    turn[0, 0], turn[1, 1], turn[2, 2] = (
+    change = np.empty((3, 3))
+    change[0, 0], change[1, 1], change[2, 2] = (
         1 - b * (y * y + z * z), 1 - b * (x * x + z * z), 1 - b * (x * x + y * y)
     )  # fmt: skip
-    turn[0, 1], turn[1, 0] = b * x * y - a * z, b * x * y + a * z
-    turn[0, 2], turn[2, 0] = b * x * z + a * y, b * x * z - a * y
-    turn[1, 2], turn[2, 1] = b * y * z - a * x, b * y * z + a * x
+    change[0, 1], change[1, 0] = b * x * y - a * z, b * x * y + a * z
+    change[0, 2], change[2, 0] = b * x * z + a * y, b * x * z - a * y
+    change[1, 2], change[2, 1] = b * y * z - a * x, b * y * z + a * x
     out = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
             for k in range(3):
-                out[i, j] += rotation[i, k] * turn[k, j]
+                out[i, j] += rotation[i, k] * change[k, j]
     return out
 
 

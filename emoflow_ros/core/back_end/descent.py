@@ -11,8 +11,8 @@ from emoflow_ros.core.back_end.adjustment_kernels import (
     Unknowns,
     observation_cost,
     observe,
+    rotated,
     share_of_depths,
-    turned,
 )
 from emoflow_ros.core.back_end.prior_kernels import Prior, motion_prior, prior_cost
 from emoflow_ros.core.jit import njit
@@ -53,7 +53,7 @@ def descend(
     Raises:
         numpy.linalg.LinAlgError: the equations are not positive definite.
     """
-    travels = len(free) > _AT_ONE_PLACE * len(start.position)
+    translates = len(free) > _AT_ONE_PLACE * len(start.position)
     poses, patches = POSE * len(start.position), len(o.anchor)
     size = NODE * len(start.position)
     squares = np.empty(len(o.patch))
@@ -62,7 +62,7 @@ def descend(
         np.empty(patches),
     )  # fmt: skip
     x = start
-    if not travels:
+    if not translates:
         x = Unknowns(
             x.rotation, np.zeros_like(x.position), x.angular, np.zeros_like(x.velocity),
             x.inverse_depth,
@@ -73,7 +73,7 @@ def descend(
         gained = 0.0
         while damping < _MOST_DAMPING:
             nodes, rho = _step(e, share, share_right, free, damping)
-            after = _moved(x, nodes, rho, depths, travels)
+            after = _moved(x, nodes, rho, depths, translates)
             then = _cost(o, after, prior, outlier, squares)
             if then <= now:
                 gained, x, now = now - then, after, then
@@ -162,15 +162,15 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 @_compiled
 def _moved(
-    x: Unknowns, nodes: Array, depth: Array, bounds: tuple[float, float], travels: bool
+    x: Unknowns, nodes: Array, depth: Array, bounds: tuple[float, float], translates: bool
 ) -> Unknowns:
-    """Add steps of the nodes (12 K,) and of the depths (J,), which stay without travel."""
+    """Add steps of the nodes (12 K,) and of the depths (J,), which stay without translation."""
     step = nodes.reshape(len(x.position), NODE)
     rotation = np.empty_like(x.rotation)
     for k in range(len(rotation)):
-        rotation[k] = turned(x.rotation[k], step[k, :3])
+        rotation[k] = rotated(x.rotation[k], step[k, :3])
     rho = x.inverse_depth
-    if travels:
+    if translates:
         rho = np.minimum(np.maximum(rho + depth, bounds[0]), bounds[1])
     return Unknowns(
         rotation, x.position + step[:, 3:6], x.angular + step[:, 6:9], x.velocity + step[:, 9:], rho

@@ -24,7 +24,7 @@ class Measured:
         t: ns.
         angular: (3,) rad/s.
         root: (3, 3) square root of the information on it.
-        direction: (3,) of travel, zeros where unknown: a start, no evidence.
+        direction: (3,) of translation, zeros where unknown: a start, no evidence.
     """
 
     t: int

@@ -1,4 +1,4 @@
-"""Where the adjustment starts from, and whether the camera travels or only rotates."""
+"""Where the adjustment starts from, and whether the camera translates or only rotates."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -111,13 +111,13 @@ def starts(
 
 
 def rotating(
-    problem: Observations, travelling: Adjusted, prior: Prior, settings: BackEndSettings
+    problem: Observations, translating: Adjusted, prior: Prior, settings: BackEndSettings
 ) -> Adjusted | None:
-    """Adjust a camera that only rotates, from one that travels; None if that diverges."""
+    """Adjust a camera that only rotates, from one that translates; None if that diverges."""
     with suppress(np.linalg.LinAlgError):
         return adjust(
-            problem, travelling.x, prior, settings.outlier, settings.rotation_steps,
-            settings.depths, travels=False,
+            problem, translating.x, prior, settings.outlier, settings.rotation_steps,
+            settings.depths, translates=False,
         )  # fmt: skip
     return None
 

@@ -32,9 +32,9 @@ class BackEndSettings:
             its covariance is believed.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_windows: adjustments over whose mean that is decided.
-        surely_travels: cost per patch from which that is checked now and then only.
+        surely_translates: cost per patch from which that is checked now and then only.
         check_every: adjustments between such checks.
-        directions: of travel that are tried while the memory fills.
+        directions: of translation that are tried while the memory fills.
         directions_at: numbers of nodes at which they are tried.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
@@ -69,7 +69,7 @@ class BackEndSettings:
     lattice_outlier: float = 20.0
     rotation_cost: float = 1.25
     rotation_windows: int = 3
-    surely_travels: float = 3.75
+    surely_translates: float = 3.75
     check_every: int = 3
     directions: int = 18
     directions_at: tuple[int, ...] = (4, 6, 8)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted
-from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, turned
+from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, rotated
 from emoflow_ros.core.back_end.prior_kernels import rotation_vector
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.estimate import Motion
@@ -40,13 +40,13 @@ def first_node(angular: Array, velocity: Array) -> Unknowns:
 
 def carried_on(x: Unknowns, seconds: float) -> Unknowns:
     """Add a node with the velocities of the last one, and make it the common frame's origin."""
-    turn = turned(x.rotation[-1], x.angular[-1] * seconds)
+    change = rotated(x.rotation[-1], x.angular[-1] * seconds)
     place = x.position[-1] + x.velocity[-1] * seconds
     return Unknowns(
-        turn.T @ np.concatenate([x.rotation, turn[None]]),
-        (np.concatenate([x.position, place[None]]) - place) @ turn,
+        change.T @ np.concatenate([x.rotation, change[None]]),
+        (np.concatenate([x.position, place[None]]) - place) @ change,
         np.concatenate([x.angular, x.angular[-1:]]),
-        np.concatenate([x.velocity, x.velocity[-1:]]) @ turn,
+        np.concatenate([x.velocity, x.velocity[-1:]]) @ change,
         x.inverse_depth,
     )
 
@@ -88,7 +88,7 @@ def along(t: Times, angular: Array, linear: Array, inverse_depth: Array) -> Unkn
     rotation[-1], position[-1], velocity[-1] = np.eye(3), 0.0, linear[-1]
     for k in range(len(t) - 2, -1, -1):
         seconds = (t[k + 1] - t[k]) / NS_PER_S
-        rotation[k] = turned(rotation[k + 1], -angular[k] * seconds)
+        rotation[k] = rotated(rotation[k + 1], -angular[k] * seconds)
         velocity[k] = rotation[k] @ linear[k]
         position[k] = position[k + 1] - velocity[k] * seconds
     return Unknowns(rotation, position, angular, velocity, inverse_depth)
@@ -125,7 +125,7 @@ def interpolated(
     share = float((t - times[node]) / (times[node + 1] - times[node]))
     angular = (1 - share) * x.angular[node] + share * x.angular[node + 1]
     step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
-    rotation = turned(x.rotation[node], share * step)
+    rotation = rotated(x.rotation[node], share * step)
     velocity = (1 - share) * x.velocity[node] + share * x.velocity[node + 1]
     return angular, rotation.T @ velocity, (node, share, rotation)
 
@@ -137,21 +137,21 @@ class AdjustedMotion:
     Attributes:
         times: (K,) ns.
         x: the way.
-        travels: whether the direction of translation is known.
+        translates: whether the direction of translation is known.
         ahead: whose change of the angular velocity goes on after the newest node, as the lattice's.
-        turning: whose angular velocity counts instead, as a gyro's.
+        by_gyro: whose angular velocity counts instead.
     """
 
     times: Times
     x: Unknowns
-    travels: bool
+    translates: bool
     ahead: Motion
-    turning: Motion | None = None
+    by_gyro: Motion | None = None
 
     def angular(self, t: int) -> Array:
         """Angular velocity at time t (ns), (3,) rad/s."""
-        if self.turning is not None:
-            return self.turning.angular(t)
+        if self.by_gyro is not None:
+            return self.by_gyro.angular(t)
         newest = int(self.times[-1])
         after = 0.0 if t <= newest else self.ahead.angular(t) - self.ahead.angular(newest)
         return interpolated(self.times, self.x, t)[0] + after
@@ -160,4 +160,4 @@ class AdjustedMotion:
         """Direction of the linear velocity at time t (ns), (3,) unit, or zeros."""
         linear = interpolated(self.times, self.x, t)[1]
         norm = float(np.linalg.norm(linear))
-        return linear / norm if self.travels and norm > 0 else np.zeros(3)
+        return linear / norm if self.translates and norm > 0 else np.zeros(3)

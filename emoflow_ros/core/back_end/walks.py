@@ -47,7 +47,7 @@ class Walks:
         low, high = np.radians(settings.angular_walks_deg) ** 2
         angular = _step(adjusted.x.angular, blocks[:, 6:9, :, 6:9], float(seconds.sum()))
         angular = _mixed(self.angular, angular, settings)
-        if not adjusted.travels:
+        if not adjusted.translates:
             return Walks(float(np.clip(angular, low, high)), self.velocity)
         velocity = _step(adjusted.x.velocity, blocks[:, 9:, :, 9:], float(seconds.sum()))
         velocity = _mixed(self.velocity, velocity, settings)

@@ -21,7 +21,7 @@ from small_problem import (
 )
 
 from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
-from emoflow_ros.core.back_end.adjustment_kernels import NODE, Observations, Unknowns, turned
+from emoflow_ros.core.back_end.adjustment_kernels import NODE, Observations, Unknowns, rotated
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import along, motion_at
@@ -39,7 +39,7 @@ def residuals(free: np.ndarray, o: Observations, p: Prior) -> np.ndarray:
     index = np.ones((NODES, NODE), np.bool_)
     index[-1, :6] = False
     nodes[index] = free[: index.sum()]
-    rotation = np.stack([turned(r, n[:3]) for r, n in zip(begin.rotation, nodes, strict=True)])
+    rotation = np.stack([rotated(r, n[:3]) for r, n in zip(begin.rotation, nodes, strict=True)])
     x = Unknowns(
         rotation, begin.position + nodes[:, 3:6], begin.angular + nodes[:, 6:9],
         begin.velocity + nodes[:, 9:], begin.inverse_depth + free[index.sum() :],
@@ -108,7 +108,7 @@ def test_wrong_places_do_not_pull():
 
 
 def test_a_camera_that_only_rotates_costs_more_where_there_is_parallax():
-    full, still = adjusted(problem()), adjusted(problem(), travels=False)
+    full, still = adjusted(problem()), adjusted(problem(), translates=False)
     assert still.cost > full.cost + PATCHES
     assert not still.x.velocity.any()
     assert not still.x.position.any()
