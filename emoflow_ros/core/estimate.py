@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import GyroStatus
 
 _KEPT_SPEEDS = 1000  # speeds: seconds of any odometry
@@ -59,6 +59,12 @@ class FlowSampler(Protocol):
     def tracks(self, points: NDArray[np.float64], times: Sequence[int]) -> NDArray[np.float64]:
         """Positions (len(times), N, 2) in px of points (N, 2) given at times[0]."""
         ...
+
+
+def velocity_at(flow: FlowSampler, points: NDArray[np.float64], t: int) -> NDArray[np.float64]:
+    """Flow at points (N, 2) px at time t, (N, 2) px/s: that of the next millisecond."""
+    moved = flow.tracks(points, [t, t + NS_PER_MS])[1] - points
+    return moved * (NS_PER_S / NS_PER_MS)
 
 
 class Motion(Protocol):

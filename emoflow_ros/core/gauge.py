@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
+from emoflow_ros.core.estimate import Estimate, velocity_at
+from emoflow_ros.core.events import NS_PER_S, Events, Window
 from emoflow_ros.core.preparation import reduction
 from emoflow_ros.core.stream_settings import STREAM
 
 Array = NDArray[np.float64]
 
-_STEP_NS = NS_PER_MS  # over which a speed is taken
 _LEVER = 0.19  # mean distance of the image's points from its centre, over width + height
 
 
@@ -59,9 +58,8 @@ class Gauge:
         columns = np.arange(STREAM.grid_px // 2, camera.width, STREAM.grid_px)
         rows = np.arange(STREAM.grid_px // 2, camera.height, STREAM.grid_px)
         grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
-        moved = flow.tracks(grid, [estimate.t, estimate.t + _STEP_NS])[1] - grid
-        px_s = float(np.median(np.linalg.norm(moved, axis=1))) / reduction(camera)
-        px_s *= NS_PER_S / _STEP_NS
+        speed = np.linalg.norm(velocity_at(flow, grid, estimate.t), axis=1)
+        px_s = float(np.median(speed)) / reduction(camera)
         seconds = min(
             (estimate.t_end - estimate.t_start) / NS_PER_S, STREAM.way_px / max(px_s, 1e-9)
         )

@@ -23,6 +23,7 @@ from emoflow_ros.core.estimate import (
     SpeedBound,
     Status,
     Twist,
+    velocity_at,
 )
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.gyro_checks import FreezeWatch, GyroState
@@ -42,7 +43,6 @@ _LONGEST_NS = 600 * NS_PER_MS  # from the middle of the last window to now
 _EVENTS = 8_000  # are enough for six numbers
 _FEWEST_EVENTS = 300
 _STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
-_FLOW_STEP_NS = NS_PER_MS  # over which the window's flow is measured
 # Largest age of the newest reading where the gyro alone tells the motion.
 _GYRO_FRESH_NS = 20 * NS_PER_MS
 # Variance of the change of w that was not predicted over its square: the scene has moved since, and
@@ -191,8 +191,7 @@ class PresentMotion:
         """Take the scene from a flow and the motion (w, v) at time t, ns."""
         epipolar, image = self._epipolar, self._image
         points = self._lattice.pixels * image.sensor_px
-        moved = flow.tracks(points, [t, t + _FLOW_STEP_NS])[1] - points
-        rate = moved / image.sensor_px * (NS_PER_S / _FLOW_STEP_NS)
+        rate = velocity_at(flow, points, t) / image.sensor_px
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
 

@@ -18,6 +18,7 @@ from emoflow_ros.core.estimate import (
     Motion,
     MotionModel,
     Status,
+    velocity_at,
 )
 from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.front_end.settings import FrontEndSettings
@@ -35,7 +36,6 @@ Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _BEND_TIMES = 9  # at which the rotation over a window is read
-_STEP_NS = NS_PER_MS  # over which a flow's velocity is taken
 _LONGEST_GAP_NS = 300 * NS_PER_MS  # between slices; after a longer one the memory begins anew
 
 
@@ -136,8 +136,7 @@ class RememberingEstimator:
 
     def _on_grid(self, flow: FlowSampler, t: int) -> F32:
         """Flow at a time on the tracking image's grid, (rows, columns, 2) px/s of that image."""
-        after = flow.tracks(self._grid, [t, t + _STEP_NS])[1]
-        velocity = (after - self._grid) * (NS_PER_S / _STEP_NS) / self.image.sensor_px
+        velocity = velocity_at(flow, self._grid, t) / self.image.sensor_px
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
     def _measured(self, found: Estimate) -> Measured:
