@@ -17,7 +17,7 @@ OF_FORM = {
     "gyro_clock": {"_REACH_NS", "Times"},
     "gyro_measurement": set(),
     "stream": {"BRIGHTNESS"},
-    "gauge": {"_STEP_NS", "_LEVER"},
+    "gauge": {"_LEVER"},
     "motion_prior": set(),
 }
 

@@ -17,7 +17,8 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from dvs_msgs.msg import EventArray
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -39,6 +40,12 @@ WAIT_S = 600.0  # only what hangs takes so long, also on a busy machine
 WAITING = "input.queue_windows:=8"
 OF_WINDOWS = "output.twist_rate:=0.0"
 _AGAIN_S, _CAMERA_INFO_S = 10.0, 0.2  # after which a request, or a calibration, is sent again
+_GOALS = {
+    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_CLEANUP: State.PRIMARY_STATE_UNCONFIGURED,
+}
 _DRIVER_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -182,22 +189,22 @@ class Peer:
         """Call a service of the node under test.
 
         A server may answer before it has found the client's reader. Such an answer is lost, so the
-        request is sent again, but for a change of state, which would fail the second time.
+        request is sent again. A change of state would fail the second time: the state tells.
         """
         if name not in self._clients:  # to be found by the node takes longer than an answer
             self._clients[name] = self.node.create_client(service_type, name)
         client = self._clients[name]
         self.spin_until(client.service_is_ready, f"service {name}")
-        if service_type is not ChangeState:
-            for _ in range(2):
-                with contextlib.suppress(AssertionError):
-                    return self._ask(client, request, _AGAIN_S)
-        return self._ask(client, request, WAIT_S)
-
-    def _ask(self, client: Client, request: dict[str, Any], timeout_s: float) -> Any:
-        answer = client.call_async(client.srv_type.Request(**request))
-        self.spin_until(answer.done, f"answer of {client.srv_name}", timeout_s)
-        return answer.result()
+        for _ in range(int(WAIT_S / _AGAIN_S)):
+            answer = client.call_async(service_type.Request(**request))
+            with contextlib.suppress(AssertionError):
+                self.spin_until(answer.done, f"answer of {name}", _AGAIN_S)
+                return answer.result()
+            if service_type is ChangeState:  # the node answers this one after the change
+                state = self.call(GetState, name.replace("change_state", "get_state"))
+                reached = state.current_state.id == _GOALS.get(request["transition"].id)
+                return answer.result() if answer.done() else ChangeState.Response(success=reached)
+        raise AssertionError(f"{name}: no answer within {WAIT_S} s")
 
     def status(self) -> dict[str, str]:
         """Return the latest diagnostics: the numbers, and `message`."""
