@@ -49,10 +49,10 @@ def test_every_window_is_accounted_for_whatever_happens(
         assert max(use.threads for use in uses) <= uses[0].threads + 1
         assert max(use.files for use in uses) <= uses[0].files + 3
         assert {use.below for use in uses} == {uses[0].below}
-        assert max(use.segments for use in uses) <= uses[0].segments + 1
-        for part in ("node_mb", "worker_mb"):
+        # The middleware maps a segment of each process that talks to the node: they come and go.
+        for part, more in (("node_mb", 10), ("worker_mb", 10), ("segments", 1)):
             first, last = script.figures.quarters(part)
-            assert last < first + 10
+            assert last < first + more
         assert set(script.figures.right_again) == {"start", *script.done}
         shared = script.shared_memory()
         node.send_signal(signal.SIGINT)
