@@ -29,7 +29,7 @@ lint: setup  ## style and types
 
 test: messages lint  ## lint, types and all tests but the long ones
 	@$(ENV)
-	python -m pytest --timeout 1200 --numprocesses 2 $(PYTEST_ARGS)  # a hang: conftest.py bounds the work of a test
+	python -m pytest --timeout 1200 --numprocesses 3 $(PYTEST_ARGS)  # tests of the node wait most of the time; a hang: conftest.py
 
 bench: messages  ## speed of decoders, estimator, evaluate and node beside their targets, into out/benchmarks/; a quarter of an hour
 	@$(ENV)
