@@ -29,7 +29,7 @@ lint: setup  ## style and types
 
 test: messages lint  ## lint, types and all tests but the long ones
 	@$(ENV)
-	python -m pytest --timeout 1200 --numprocesses 3 $(PYTEST_ARGS)  # tests of the node wait most of the time; a hang: conftest.py
+	python -m pytest --timeout 1200 --numprocesses 3 $(PYTEST_ARGS)  # tests of the node mostly wait; conftest.py bounds the work of one that hangs
 
 bench: messages  ## speed of decoders, estimator, evaluate and node beside their targets, into out/benchmarks/; a quarter of an hour
 	@$(ENV)

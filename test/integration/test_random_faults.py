@@ -49,7 +49,9 @@ def test_every_window_is_accounted_for_whatever_happens(
         assert max(use.threads for use in uses) <= uses[0].threads + 1
         assert max(use.files for use in uses) <= uses[0].files + 3
         assert {use.below for use in uses} == {uses[0].below}
-        # The middleware maps a segment of each process that talks to the node: they come and go.
+        # The middleware maps a segment of each process that talks to the node: a subscriber that
+        # leaves and the next one may be there at once, but they do not add up.
+        assert max(use.segments for use in uses) <= uses[0].segments + 2
         for part, more in (("node_mb", 10), ("worker_mb", 10), ("segments", 1)):
             first, last = script.figures.quarters(part)
             assert last < first + more
