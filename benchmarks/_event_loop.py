@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_msg
 from tqdm import tqdm
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy, WindowSlicer
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy, WindowSlicer
 from emoflow_ros.simulation.messages import CAMERA_INFO, OPTICAL_FRAME, MessageEncoder
 from emoflow_ros.simulation.raycast import RayCaster
 from emoflow_ros.simulation.recording import build_scene, davis346

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import linregress
 
 from benchmarks._rows import Row
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.estimate import Status
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 
 WARM_UP_S = 1.0  # the first window is cold, the next ones meet what it leaves behind

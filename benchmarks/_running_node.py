@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 
 from benchmarks._event_loop import EVENTS, MARKS
 from benchmarks._node_figures import MACHINE, Observed, Sample
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 
 DOMAIN = "87"

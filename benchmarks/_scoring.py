@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scoreboard.uncertainty import direction_errors, normalised_squares
-from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.types.estimate import Estimate
 from emoflow_ros.evaluation.window_results import MIN_TRUE_SPEED, WindowResult
 from emoflow_ros.simulation.simulated_truth import GroundTruth
 from emoflow_ros.truth import TrueFlow, TrueTwist

@@ -25,7 +25,7 @@ from messages import event_array, event_packet, point_cloud
 
 from benchmarks._rows import Row, lay_out
 from emoflow_ros.cli import run
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.readers.bag_files import open_bag
 from msg_adapters import make_decoder
 

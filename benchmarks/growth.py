@@ -27,10 +27,10 @@ from benchmarks._event_loop import scaled_camera
 from benchmarks._rows import Row, lay_out
 from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Window, WindowPolicy
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.types.events import Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.simulation.recording import davis346

@@ -19,9 +19,9 @@ from tqdm import tqdm
 
 from benchmarks._rows import verdict
 from emoflow_ros.cli import run
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, Events, Window
-from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.types.options import replace_options
 from emoflow_ros.published.estimator import ImplicitEstimator
 from emoflow_ros.published.implicit_config import ImplicitConfig
 

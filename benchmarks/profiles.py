@@ -33,8 +33,8 @@ from benchmarks._scoring import SCENES, SimulatedTruth, normalised_errors
 from benchmarks.realtime import record, timed, use_one_thread
 from emoflow_ros.cli import run
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import Window, WindowPolicy
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess

@@ -37,9 +37,9 @@ from benchmarks.paper import ITERATIONS as PAPER_ITERATIONS
 from benchmarks.paper import time_iterations as time_paper_loop
 from emoflow_ros.cli import run
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.estimate import Estimate, Estimator
-from emoflow_ros.core.events import NS_PER_S, Window, WindowPolicy, WindowSlicer
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.estimate import Estimate, Estimator
+from emoflow_ros.core.types.events import NS_PER_S, Window, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.window_results import assess

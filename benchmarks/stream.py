@@ -29,7 +29,7 @@ from benchmarks._stream_figures import Heard, Stream, figures, rows
 from benchmarks.scoreboard.simulated_subjects import DURATION_S, RandomSubject
 from benchmarks.scoreboard.subjects import Material
 from emoflow_ros.cli import run
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.simulation.messages import CAMERA_INFO, POINT_CLOUD, MessageEncoder

@@ -1,6 +1,6 @@
 """The folder in which numba keeps the package's compiled code from one start to the next.
 
-Below it each version of the sources has a folder of its own; see `core.jit`.
+Below it each version of the sources has a folder of its own; see `core.numerics.jit`.
 Numba is not imported here: the choice must be made before.
 """
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import yaml
 
-from emoflow_ros.core.events import WindowPolicy
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.options import option, options_of, replace_options
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import WindowPolicy
+from emoflow_ros.core.types.options import option, options_of, replace_options
 from emoflow_ros.errors import InputError, say
 from emoflow_ros.published.implicit_config import ImplicitConfig
 

@@ -1,10 +1,10 @@
 """Estimators by configuration: the one place that knows both of `core` and of `published`."""
 
 from emoflow_ros.config import Config, require_torch
-from emoflow_ros.core.bounded_windows import BoundedWindows
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimator
-from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.stream.bounded_windows import BoundedWindows
+from emoflow_ros.core.types.estimate import Estimator
 
 
 def make_estimator(camera: Camera, config: Config) -> Estimator:
@@ -24,18 +24,18 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
 
         estimator = ImplicitEstimator(camera, config.estimator)
         if config.window.max_displacement_px > 0:
-            from emoflow_ros.core.motion_windows import MotionWindows
+            from emoflow_ros.core.lattice.motion_windows import MotionWindows
 
             estimator = MotionWindows(estimator, camera, config.window)
     return BoundedWindows(estimator, config.event_budget)
 
 
 def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
-    from emoflow_ros.core.lattice_estimator import LatticeEstimator
-    from emoflow_ros.core.motion_windows import MotionWindows
-    from emoflow_ros.core.preparation import CleanWindows
+    from emoflow_ros.core.lattice.estimator import LatticeEstimator
+    from emoflow_ros.core.lattice.motion_windows import MotionWindows
+    from emoflow_ros.core.products.continuous import ContinuousEstimator
     from emoflow_ros.core.remembering import RememberingEstimator
-    from emoflow_ros.core.stream import ContinuousEstimator
+    from emoflow_ros.core.stream.cleaning import CleanWindows
 
     fit = LatticeEstimator(camera, lattice, config.imu)
     estimator: Estimator = fit

@@ -14,8 +14,8 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.types.events import Events
 
 type Bytes = bytes | bytearray | memoryview | NDArray[np.uint8]
 

@@ -16,8 +16,8 @@ from numba import types
 from numba.core.typing.templates import Signature
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.types.events import Events
 from msg_adapters.message import Statistics
 
 # np.empty takes longer over a type than over its dtype.

@@ -9,9 +9,9 @@ from PIL import Image
 from benchmarks.animation import __main__ as command
 from benchmarks.animation import drawing
 from benchmarks.animation.drawing import OFF, ON, Flight, Step
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMERA = Camera(60, 40, 50.0, 50.0, 30.0, 20.0)

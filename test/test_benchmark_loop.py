@@ -16,8 +16,8 @@ from benchmarks._event_loop import (
     simulate_loops,
     write_loop,
 )
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events, WindowPolicy, WindowSlicer
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events, WindowPolicy, WindowSlicer
 from emoflow_ros.readers.bag_files import open_bag
 from msg_adapters import make_decoder
 

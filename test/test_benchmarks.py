@@ -12,8 +12,8 @@ from benchmarks import growth, realtime
 from benchmarks._event_loop import scaled_camera
 from benchmarks._scoring import Score, normalised_errors, summarise
 from benchmarks.paper import Timing, compare_with_target
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.evaluation.metrics import FlowErrors
 from emoflow_ros.evaluation.window_results import WindowResult
 from emoflow_ros.truth import TrueTwist

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.errors import InputError
 from emoflow_ros.published.implicit_config import ImplicitConfig
 

@@ -25,7 +25,7 @@ from pathlib import Path
 import pytest
 from event_bags import write_event_bag
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.simulation.recording import simulate
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,6 +12,12 @@ PAGE = ROOT / "docs" / "architecture.md"
 WALKS = ("Where is a twist computed?", "Where is it published?", "Where is it evaluated?")
 LONGEST_WALK = 8  # files
 
+# Folders of core: each imports earlier ones only. "" is core itself, where the memory's step is.
+CORE = (
+    "numerics", "geometry", "types", "stream", "gyro", "lattice", "front_end", "back_end", "",
+    "products",
+)  # fmt: skip
+
 # A part is a folder or a file directly in emoflow_ros, or msg_adapters. What it may import:
 _ESTIMATION = {"core", "config", "errors", "factory"}
 _RECORDINGS = {"evaluation", "readers", "truth", *_ESTIMATION}
@@ -79,6 +85,20 @@ def test_every_part_has_a_place() -> None:
 @pytest.mark.parametrize("part", ALLOWED)
 def test_a_part_imports_only_what_it_may(part: str) -> None:
     assert FOUND[part] <= ALLOWED[part]
+
+
+def test_folders_of_core_import_earlier_ones_only() -> None:
+    core = ROOT / "emoflow_ros" / "core"
+    assert {path.parent.name for path in core.glob("*/__init__.py")} == {*CORE} - {""}
+    seen = 0
+    for path in core.rglob("*.py"):
+        own = path.relative_to(core).parts[0] if path.parent != core else ""
+        for name in imports(path):
+            if name[:2] == ["emoflow_ros", "core"] and len(name) > 2:
+                of = name[2] if name[2] in CORE else ""
+                assert CORE.index(of) <= CORE.index(own), f"{path.relative_to(core)}: {of}"
+                seen += 1
+    assert seen > 200
 
 
 def test_evaluation_and_report_do_not_import_each_other() -> None:

@@ -111,8 +111,8 @@ def test_node_process_loads_neither_torch_nor_the_estimator() -> None:
     pytest.importorskip("rclpy", reason="no ROS: run `make test`")
     code = (
         "import sys, emoflow_ros.node.estimator_node, msg_adapters; "
-        "print(sorted({'torch', 'emoflow_ros.core.lattice_estimator', 'emoflow_ros.core.kernels'} "
-        "& set(sys.modules)))"
+        "lattice = ['emoflow_ros.core.lattice.' + name for name in ('estimator', 'kernels')]; "
+        "print(sorted({'torch', *lattice} & set(sys.modules)))"
     )
     shown = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False

@@ -17,7 +17,7 @@ from benchmarks._scoring import SimulatedTruth
 from benchmarks.animation.drawing import FORMATS, Flight, Step, frame, save
 from emoflow_ros.cli import run
 from emoflow_ros.config import load_config
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowSlicer
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.readers import open_recording, require_camera

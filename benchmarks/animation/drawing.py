@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.products import flow_to_rgb, warped_counts
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import flow_to_rgb, warped_counts
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, Window
 from emoflow_ros.truth.ground_truth import TwistSource
 
 Image = NDArray[np.uint8]

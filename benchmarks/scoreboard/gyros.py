@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.simulated_truth import (
     GroundTruth,

@@ -24,16 +24,16 @@ from benchmarks.scoreboard.simulated_subjects import random_subjects
 from benchmarks.scoreboard.subjects import SHARED_DATA, Material, Subject, shared_subjects
 from emoflow_ros.cli import run
 from emoflow_ros.config import load_config
-from emoflow_ros.core.bounded_windows import BoundedWindows
-from emoflow_ros.core.camera_motion import motion_matrices
-from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window, WindowSlicer
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_estimator import LatticeEstimator
-from emoflow_ros.core.motion_windows import MotionWindows
+from emoflow_ros.core.geometry.camera_motion import motion_matrices
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.lattice.motion_windows import MotionWindows
 from emoflow_ros.core.odometry import State
-from emoflow_ros.core.preparation import CleanWindows, clean
 from emoflow_ros.core.remembering import RememberingEstimator
+from emoflow_ros.core.stream.bounded_windows import BoundedWindows
+from emoflow_ros.core.stream.cleaning import CleanWindows, clean
+from emoflow_ros.core.types.estimate import Estimate, Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window, WindowSlicer
 from emoflow_ros.report.documents import write_json
 
 Array = NDArray[np.float64]

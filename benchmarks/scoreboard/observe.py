@@ -11,8 +11,8 @@ from benchmarks.scoreboard.subjects import Material
 from benchmarks.scoreboard.truths import displace, true_rotation
 from benchmarks.scoreboard.windows import Windows, make_windows
 from emoflow_ros.config import Config
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_S, Window, WindowSlicer
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_S, Window, WindowSlicer
 from emoflow_ros.evaluation.metrics import event_mask, flow_errors
 from emoflow_ros.evaluation.window_run import attempt
 from emoflow_ros.factory import make_estimator

@@ -5,8 +5,8 @@ import io
 import numpy as np
 from PIL import Image
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
 
 _WIDTH_PX = 112
 _INTERVAL_NS = 30_000_000

@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks._scoring import SimulatedTruth
 from benchmarks.scoreboard.gyros import gyro_of_simulation
 from benchmarks.scoreboard.subjects import Material, Subject
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.simulation.random_recording import (
     Factors,
     draw_factors,

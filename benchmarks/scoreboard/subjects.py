@@ -8,9 +8,9 @@ from typing import Any, Protocol
 
 from benchmarks.scoreboard.gyros import gyro_of_poses, own_gyro, without_bias
 from benchmarks.scoreboard.truths import NominalFlow
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.readers import open_recording, require_camera
 from emoflow_ros.truth import Truth, load_truth
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.truth import TrueFlow, Truth, TwistSource
 
 _STEP_NS = 4_000_000

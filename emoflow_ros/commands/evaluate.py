@@ -11,7 +11,7 @@ from typing import Any
 from emoflow_ros import cli
 from emoflow_ros.commands import compare
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.ablation import ABLATIONS, ablate, variants_of
 from emoflow_ros.evaluation.benchmark_sequences import find_sequence

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import Recording
 from emoflow_ros.readers.bag_files import Bag, read_messages, serialization

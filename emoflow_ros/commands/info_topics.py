@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rosbags.interfaces import Connection
 
 from emoflow_ros.commands.info_contents import table_lines
-from emoflow_ros.core.events import NS_PER_S, Events, TimeJumpError
+from emoflow_ros.core.types.events import NS_PER_S, Events, TimeJumpError
 from emoflow_ros.readers.bag_events import TopicDecoder
 from emoflow_ros.readers.stream_check import SettledOrder
 from msg_adapters import DecodeError, Statistics

@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from tqdm import tqdm
 
 from emoflow_ros.cli import run
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.ros_arguments import own_arguments, refused_in_one_line
 from emoflow_ros.node.topic_search import import_message_type

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from emoflow_ros.cli import run
-from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.options import options_of, replace_options
+from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.options import options_of, replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import draw_factors, factor_specs
 from emoflow_ros.simulation.messages import EVENT_ARRAY, POINT_CLOUD

@@ -1,4 +1,4 @@
 """Estimation core: cameras, events, windows, flow fields and egomotion. Imports no ROS.
 
-This file imports nothing, so that `emoflow_ros.core.events` costs neither torch nor numba.
+This file imports nothing, so that `emoflow_ros.core.types.events` costs neither torch nor numba.
 """

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
+from emoflow_ros.core.back_end.scene import Grid, depths_now, expected_places, rigid_flow
 from emoflow_ros.core.back_end.search import best, rotating, starts
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import (
@@ -24,12 +25,11 @@ from emoflow_ros.core.back_end.trajectory import (
     without_node,
 )
 from emoflow_ros.core.back_end.walks import Walks
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, drawn, sharpness
-from emoflow_ros.core.scene import Grid, depths_now, expected_places, rigid_flow
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]

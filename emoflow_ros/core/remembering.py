@@ -8,10 +8,19 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.consistency import Revisions, covariance_factor
 from emoflow_ros.core.back_end.evidence import Measured
+from emoflow_ros.core.back_end.scene import depths_now, motion_field
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import (
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
+from emoflow_ros.core.front_end.slicing import slices
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
+from emoflow_ros.core.lattice.preparation import WorkingImage
+from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.lattice.uncertainty import without_translation
+from emoflow_ros.core.odometry import Hint, Odometry, State
+from emoflow_ros.core.types.estimate import (
     Estimate,
     Estimator,
     FlowSampler,
@@ -20,17 +29,8 @@ from emoflow_ros.core.estimate import (
     Status,
     velocity_at,
 )
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
-from emoflow_ros.core.front_end.slicing import slices
-from emoflow_ros.core.gyro_checks import GyroState
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
-from emoflow_ros.core.odometry import Hint, Odometry, State
-from emoflow_ros.core.preparation import WorkingImage
-from emoflow_ros.core.refinement import Depths
-from emoflow_ros.core.scene import depths_now, motion_field
-from emoflow_ros.core.uncertainty import without_translation
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.types.gyro import GyroState
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]

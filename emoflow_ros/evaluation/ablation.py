@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.estimate import Estimate, Estimator
-from emoflow_ros.core.events import Window
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.types.estimate import Estimate, Estimator
+from emoflow_ros.core.types.events import Window
+from emoflow_ros.core.types.gyro import GyroReadings
+from emoflow_ros.core.types.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.slicers import Slicer
 from emoflow_ros.evaluation.summary import summarise

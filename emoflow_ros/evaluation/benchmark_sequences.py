@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.errors import InputError
 
 # MVSEC's left DAVIS346 (camchain of the two sites; the published code of several methods uses

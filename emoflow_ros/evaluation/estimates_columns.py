@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import h5py
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Quality
-from emoflow_ros.core.products import INSTANTS
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import INSTANTS
+from emoflow_ros.core.types.estimate import Quality
 
 _ROWS_PER_CHUNK = 256
 _TRACK_ROWS_PER_CHUNK = 16

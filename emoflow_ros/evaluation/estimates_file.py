@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import emoflow_ros
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import (
     ADDED,

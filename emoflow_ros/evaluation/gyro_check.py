@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.gyro_checks import AXES, axis_names
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroMeans
-from emoflow_ros.core.gyro_settings import GYRO
+from emoflow_ros.core.gyro.checks import AXES, axis_names
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.gyro.measurement import GyroMeans
+from emoflow_ros.core.gyro.settings import GYRO
 from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.evaluation.window_results import WindowResult
 

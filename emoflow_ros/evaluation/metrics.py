@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, permutation_test
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.types.events import Events
 
 Vectors = NDArray[np.float64]
 Flow = NDArray[np.floating[Any]]

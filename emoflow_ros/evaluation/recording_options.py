@@ -16,9 +16,9 @@ import numpy as np
 import yaml
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import BenchmarkSequence
 from emoflow_ros.readers import Recording, open_recording

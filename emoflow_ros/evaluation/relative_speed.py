@@ -7,7 +7,7 @@ nodes, and the way over these in both says how one unit is to be read in the oth
 import numpy as np
 
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, interpolated
-from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.types.estimate import Estimate
 
 
 class RelativeSpeed:

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from emoflow_ros.core.bounded_windows import DistinctEvents
-from emoflow_ros.core.estimate import Estimate, Estimator
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.stream.bounded_windows import DistinctEvents
+from emoflow_ros.core.types.estimate import Estimate, Estimator
+from emoflow_ros.core.types.events import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.relative_speed import RelativeSpeed
 from emoflow_ros.evaluation.slicers import Slicer

@@ -10,13 +10,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.types.events import Events, Window
 
 Interval = tuple[int, int]  # start, end in ns
 
 
 class Slicer(Protocol):
-    """Cuts a stream of events into windows, as core.events.WindowSlicer does."""
+    """Cuts a stream of events into windows, as core.types.events.WindowSlicer does."""
 
     def push(self, events: Events) -> list[Window]:
         """Take the next events and return the windows they complete."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.evaluation.metrics import Statistic, Values, bootstrap_interval
 from emoflow_ros.evaluation.trajectory_errors import (
     RELATIVE_SPAN_S,

@@ -1,14 +1,14 @@
-"""Errors of point tracks; the tracks are those of `core.products`."""
+"""Errors of point tracks; the tracks are those of `core.products.pictures`."""
 
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.products import Points, Tracker, Tracks, interpolate
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import Points, Tracker, Tracks, interpolate
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.truth import FlowSource, Truth
 
 _RECENT = 6  # windows whose tracks are kept for pictures

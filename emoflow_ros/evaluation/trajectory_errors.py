@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.evaluation.window_results import WindowResult
 
 RELATIVE_SPAN_S = 1.0

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Window
 from emoflow_ros.evaluation.metrics import (
     FlowErrors,
     Mask,

@@ -13,10 +13,10 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Estimator, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, Estimator, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, Window
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.evaluation.benchmark_sequences import Published
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter

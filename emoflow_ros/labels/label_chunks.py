@@ -23,9 +23,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import Window, WindowPolicy
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import Window, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_columns import COLUMNS, TEXT, Column
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, lacking

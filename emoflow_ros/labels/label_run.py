@@ -11,8 +11,8 @@ import h5py
 from tqdm import tqdm
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import NS_PER_S, WindowPolicy
+from emoflow_ros.core.types.estimate import Status
+from emoflow_ros.core.types.events import NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.provenance import fingerprint, versions
 from emoflow_ros.evaluation.recording_options import Source, make_folder

@@ -4,7 +4,7 @@ import struct
 from collections import deque
 from dataclasses import dataclass
 
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 
 # A smaller step back in time is disorder, a larger one starts another run of the recording.
 _DISORDER = 100 * NS_PER_MS

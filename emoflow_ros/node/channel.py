@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from emoflow_ros.core.estimate import (
+from emoflow_ros.core.types.estimate import (
     Estimate,
     MotionModel,
     PresentTwist,
@@ -24,9 +24,8 @@ from emoflow_ros.core.estimate import (
     Status,
     Twist,
 )
-from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.types.events import Events, Window
+from emoflow_ros.core.types.gyro import GyroReadings, GyroState, GyroStatus
 from emoflow_ros.node.tasks import Arrays, Present, Result, Task
 
 

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import psutil
 
-from emoflow_ros.core.bounded_windows import DistinctEvents
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.wide import why_wide
+from emoflow_ros.core.products.wide import why_wide
+from emoflow_ros.core.stream.bounded_windows import DistinctEvents
+from emoflow_ros.core.types.estimate import Status
 from emoflow_ros.node.event_share import EventShare
 from emoflow_ros.node.reports import Level, Report
 from emoflow_ros.node.stream_watch import DROPPED, FAILED, REFUSALS, StreamWatch

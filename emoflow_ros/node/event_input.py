@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from emoflow_ros.core.bounded_windows import RateLimitedSlicer
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.clock import ClockMap, Timestamps
-from emoflow_ros.core.event_order import EventOrder, sifted
-from emoflow_ros.core.events import NS_PER_S, Events
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.stream.bounded_windows import RateLimitedSlicer
+from emoflow_ros.core.stream.clock import ClockMap, Timestamps
+from emoflow_ros.core.stream.event_order import EventOrder, sifted
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.node.backlog import LeftOut, is_jump
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.jump_doubt import Believed, JumpDoubt

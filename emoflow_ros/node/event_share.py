@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.stream.thinning import EventBudget
 
 # At 25 million events per second a window with a quarter of its events takes the worker a sixth
 # less, and the node half. Fewer save nothing more.

@@ -9,14 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.clock import SAME_CLOCK_NS
-from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.core.gyro_checks import GyroState
-from emoflow_ros.core.gyro_clock import GyroClock
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.gyro_settings import GYRO
+from emoflow_ros.core.gyro.clock import GyroClock
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.stream.clock import SAME_CLOCK_NS
+from emoflow_ros.core.types.estimate import Estimate, Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.gyro import REACH_NS, GyroReadings, GyroState
 from emoflow_ros.node.tasks import Task
 
 type Mounting = Callable[[str, str], NDArray[np.float64]]
@@ -85,7 +83,7 @@ class ImuInput:
     A window waits for readings up to its end, 8 ms at most, and not for a gyro that is silent.
     Where the events' own times are ROS times, within a second, the stamps of the IMU are compared
     with them directly. Otherwise the stamps are mapped to the events' times. Where the two are on
-    two clocks all the same, windows get no readings until the offset is found (core.gyro_clock).
+    two clocks all the same, windows get no readings until the offset is found (core.gyro.clock).
 
     Args:
         config: `rotation` is looked up with `mounting`.
@@ -243,8 +241,8 @@ class ImuInput:
             return task
         window, shift = task.window, self._shift(task)
         around = (
-            window.t_start + shift - 2 * GYRO.reach_ns,
-            window.t_end + shift + 2 * GYRO.reach_ns,
+            window.t_start + shift - 2 * REACH_NS,
+            window.t_end + shift + 2 * REACH_NS,
         )
         t, w = self._buffer.between(*around)
         readings = GyroReadings.mounted(t, w, self._rotation, -shift)

@@ -15,10 +15,10 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu
 
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.gyro_checks import GyroState
-from emoflow_ros.core.gyro_config import ROTATION_FROM_TF, GyroConfig
+from emoflow_ros.core.gyro.config import ROTATION_FROM_TF, GyroConfig
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.gyro import GyroState
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_feed import fetch_waiting
 from emoflow_ros.node.imu_input import ImuInput, MountingError

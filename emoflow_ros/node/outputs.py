@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode
 
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.core.wide import why_wide
+from emoflow_ros.core.products.wide import why_wide
+from emoflow_ros.core.types.estimate import Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.diagnostics_topic import to_status
 from emoflow_ros.node.picture_output import PictureOutput

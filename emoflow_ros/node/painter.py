@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, FlowSampler
-from emoflow_ros.core.events import Window
-from emoflow_ros.core.products import (
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import (
     Tracker,
     Tracks,
     flow_to_rgb,
     sharpened_events,
     trails_at_unit_depth,
 )
+from emoflow_ros.core.types.estimate import Estimate, FlowSampler
+from emoflow_ros.core.types.events import Window
 from emoflow_ros.node.tasks import Arrays, Picture, Wishes
 
 _TRACKED = 4  # windows: longer tracks tangle where the motion is fast

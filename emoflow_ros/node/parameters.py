@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 
 from emoflow_ros.cli import run
 from emoflow_ros.config import Config, load_config, without_removed
-from emoflow_ros.core.options import OptionInfo, coerced, unknown_option
+from emoflow_ros.core.types.options import OptionInfo, coerced, unknown_option
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.settings import NodeOptions, Settings, table
 

@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.node.settings import OutputOptions
 from emoflow_ros.node.tasks import Picture, Result, Wishes
 from emoflow_ros.node.twist_output import make_publisher, to_header

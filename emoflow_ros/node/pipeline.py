@@ -8,10 +8,10 @@ from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.config import require_torch
-from emoflow_ros.core.calibration import camera_from_info, load_calibration
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.calibration import camera_from_info, load_calibration
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.answers import Answers
 from emoflow_ros.node.backlog import LeftOut

@@ -14,7 +14,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.utilities import remove_ros_args
 
-from emoflow_ros.core.options import unknown_option
+from emoflow_ros.core.types.options import unknown_option
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.parameter_files import FILE_FIX, require_parameters
 

@@ -13,23 +13,23 @@ from rclpy.expand_topic_name import expand_topic_name
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import (
+from emoflow_ros.core.products.output_bounds import OutputBounds
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import (
     NS_PER_S,
     SLICE_BIN_NS,
     SLICE_EVENTS,
     SLICE_MS,
     WindowPolicy,
 )
-from emoflow_ros.core.options import (
+from emoflow_ros.core.types.options import (
     OptionInfo,
     option,
     options_of,
     replace_options,
     unknown_option,
 )
-from emoflow_ros.core.output_bounds import OutputBounds
-from emoflow_ros.core.thinning import EventBudget
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.linear_covariance import REP_145, WIDE
 from msg_adapters import supported_types

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 
-from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.types.estimate import Status
 from emoflow_ros.node.reports import Level
 
 # Why messages may hold no event that can be used.

@@ -10,8 +10,8 @@ from queue import SimpleQueue
 from typing import Any
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack_window, unpack
 from emoflow_ros.node.picture_budget import PictureBudget
@@ -31,7 +31,10 @@ from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerPr
 
 FACTORY = "emoflow_ros.factory:make_estimator"
 STARTING = "the worker is starting"
-_NEEDED_TO_WARM_UP = ("emoflow_ros.core.lattice_estimator", "emoflow_ros.core.present_motion")
+_NEEDED_TO_WARM_UP = (
+    "emoflow_ros.core.lattice.estimator",
+    "emoflow_ros.core.products.present_motion",
+)
 
 _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0

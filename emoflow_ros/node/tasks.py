@@ -10,9 +10,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, PresentTwist
-from emoflow_ros.core.events import NS_PER_S, Window
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, PresentTwist
+from emoflow_ros.core.types.events import NS_PER_S, Window
 from emoflow_ros.node.event_share import share_of
 
 type Arrays = dict[str, NDArray[Any]]
@@ -37,7 +37,7 @@ class Task:
         time_offset: ROS time minus event time, ns.
         frame_id: the camera's optical frame.
         received: monotonic time in s at which the window was complete.
-        is_slice: whether only the motion at its end is wanted (core.present_motion).
+        is_slice: whether only the motion at its end is wanted (core.products.present_motion).
     """
 
     window: Window

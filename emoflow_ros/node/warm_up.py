@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimator
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
-from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.types.estimate import Estimator
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, SLICE_MS, Events, Window
 
 type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
@@ -23,7 +23,7 @@ _SPEED = 200  # px/s
 
 def warm_up(make_estimator: EstimatorFactory) -> None:
     """Estimate windows and latest twists of synthetic events, by both kinds of motion."""
-    from emoflow_ros.core.present_motion import PresentMotion
+    from emoflow_ros.core.products.present_motion import PresentMotion
 
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(0, WARM_UP_ENDS[-1], _EVENTS))

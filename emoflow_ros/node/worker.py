@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from emoflow_ros import compiled_code
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Estimator, Status
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.lattice_config import LatticeConfig
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.types.estimate import Estimate, Estimator, Status
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.errors import InputError, keep_traceback
 from emoflow_ros.node.channel import Channel, pack, pack_present, unpack_window
 from emoflow_ros.node.painter import Painter
@@ -35,7 +35,7 @@ from emoflow_ros.node.tasks import Arrays, Wishes
 from emoflow_ros.node.warm_up import EstimatorFactory, warm_up
 
 if TYPE_CHECKING:
-    from emoflow_ros.core.present_motion import PresentMotion
+    from emoflow_ros.core.products.present_motion import PresentMotion
 
 # How long one thread may keep the other one waiting, s: Python's own value delays a slice's answer.
 _SWITCH_S = 0.001
@@ -148,7 +148,7 @@ class _Worker:
         threadpool_limits(limits=1, user_api="blas")
         self._present = self._last = None
         if isinstance(config.estimator, LatticeConfig):
-            from emoflow_ros.core.present_motion import PresentMotion
+            from emoflow_ros.core.products.present_motion import PresentMotion
 
             self._present = PresentMotion(camera, config.estimator)
         return {}

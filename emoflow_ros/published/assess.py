@@ -1,7 +1,7 @@
 """What a fit is worth: the sign of v, residuals, covariance, contrast gain and status.
 
 A residual has the unit of flow on the normalised plane, 1/s, and the noise of the flow itself, as
-in core.egomotion.
+in core.lattice.egomotion.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera_motion import basis, cheirality, motion_matrices
-from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.geometry.camera_motion import basis, cheirality, motion_matrices
+from emoflow_ros.core.types.estimate import Status
 from emoflow_ros.published import losses
 from emoflow_ros.published.field import warp
 from emoflow_ros.published.fit import Fit, Problem

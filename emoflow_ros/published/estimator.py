@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_S, Events, Window
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import SplineMotion
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_S, Events, Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.published.assess import assess
 from emoflow_ros.published.field import CoordinateMLP, warp

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torchdiffeq import odeint, odeint_adjoint
 
-from emoflow_ros.core.camera_motion import CONTROL_POINTS
+from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS
 from emoflow_ros.published.implicit_config import FIXED_SOLVERS, FieldConfig, WarpConfig
 
 
@@ -141,7 +141,7 @@ def _solver_options(config: WarpConfig) -> dict[str, Any]:
 
 
 class MotionSpline(nn.Module):
-    """Control points of the window's angular and linear velocity (core/camera_motion.py).
+    """Control points of the window's angular and linear velocity (core/geometry/camera_motion.py).
 
     Args:
         start: what all control points start from.
@@ -156,7 +156,7 @@ class MotionSpline(nn.Module):
         """Evaluate the splines.
 
         Args:
-            weights: (4,) basis at one time, from `core.camera_motion.basis`.
+            weights: (4,) basis at one time, from `core.geometry.camera_motion.basis`.
 
         Returns:
             Linear velocity as a unit direction (3,) and angular velocity (3,) in rad/s.

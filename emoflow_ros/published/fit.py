@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
-from emoflow_ros.core.camera_motion import basis
+from emoflow_ros.core.geometry.camera_motion import basis
 from emoflow_ros.published import losses
 from emoflow_ros.published.field import CoordinateMLP, MotionSpline, warp
 from emoflow_ros.published.implicit_config import (

@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 
-from emoflow_ros.core.options import option
+from emoflow_ros.core.types.options import option
 from emoflow_ros.errors import InputError
 
 FIXED_SOLVERS = ("euler", "midpoint", "rk4")

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 
 # A flow of low frequency shows its variation at this distance as well as at 1 px.
 SMOOTHNESS_SPACING = 16
@@ -108,7 +108,7 @@ def occupied_pixels(points: Tensor, valid: Tensor) -> Tensor:
 
 
 def dec_residual(bearings: Tensor, flow: Tensor, v: Tensor, w: Tensor) -> Tensor:
-    """Evaluate the differential epipolar constraint as `core.camera_motion.dec_residual` does.
+    """Evaluate the differential epipolar constraint as core.geometry.camera_motion does.
 
     Args:
         bearings: (N, 2) on the undistorted normalised plane.

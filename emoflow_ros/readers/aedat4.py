@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.reader_base import FileRecording, Imu, refuse_imu_topic
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.bag_camera import camera_beside
 from emoflow_ros.readers.bag_events import TopicDecoder, choose_events

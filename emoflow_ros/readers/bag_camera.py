@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from emoflow_ros.core.calibration import camera_from_info
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.calibration import camera_from_info
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.errors import InputError, say
 from emoflow_ros.readers.bag_files import Bag, deserialize, read_messages
 

@@ -13,8 +13,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.event_columns import times_ns

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import USUAL_LAYOUT, ColumnOptions, in_order, tell_layout
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.event_columns import pixel_coordinates, times_ns

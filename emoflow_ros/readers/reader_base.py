@@ -10,9 +10,9 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.calibration import load_calibration
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError, say
 from emoflow_ros.readers.column_layout import ColumnOptions
 from emoflow_ros.readers.stream_check import StreamCheck

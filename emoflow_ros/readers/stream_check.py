@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from emoflow_ros.core.event_order import EventOrder
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, TimeJumpError
+from emoflow_ros.core.stream.event_order import EventOrder
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, TimeJumpError
 from emoflow_ros.errors import InputError
 
 # A few events outside are a sensor's glitch; more than this share tells of another sensor.

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError, say
 
 S, MS, US, NS = NS_PER_S, NS_PER_MS, 1000, 1

@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from emoflow_ros.core.events import NS_PER_S
-from emoflow_ros.core.products import Image
+from emoflow_ros.core.products.pictures import Image
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.evaluation.estimates_columns import quality_values
 from emoflow_ros.evaluation.window_results import Vector, WindowResult
 from emoflow_ros.truth import TrueTwist

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.evaluation.trajectory_errors import Trajectory
 from emoflow_ros.evaluation.window_results import WindowResult
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.evaluation.ablation import Ablation
 from emoflow_ros.evaluation.provenance import machine, versions
 from emoflow_ros.evaluation.summary import Measure, summarise, summarise_by_truth

@@ -12,9 +12,16 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import FlowSampler
-from emoflow_ros.core.products import Image, Points, color_wheel, flow_to_rgb, trails, warped_counts
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import (
+    Image,
+    Points,
+    color_wheel,
+    flow_to_rgb,
+    trails,
+    warped_counts,
+)
+from emoflow_ros.core.types.estimate import FlowSampler
 from emoflow_ros.evaluation.metrics import Mask, end_point_error
 from emoflow_ros.evaluation.run_progress import Example
 from emoflow_ros.report.figures import style

@@ -9,8 +9,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import Factors, draw_factors
 from emoflow_ros.simulation.random_scene import (

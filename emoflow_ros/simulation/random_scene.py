@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.simulation.factors import Factors
 from emoflow_ros.simulation.random_layout import Layout, mover_box, quad_distance, random_layout
 from emoflow_ros.simulation.random_motion import Demand, Path, mover_path, random_path

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.simulation.scene import Pose, Quad
 from emoflow_ros.simulation.textures import LEVELS, SIZE, TextureSet
 

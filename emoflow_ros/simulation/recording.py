@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.raycast import RayCaster
 from emoflow_ros.simulation.scene import (

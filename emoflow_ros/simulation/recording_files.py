@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rosbags import rosbag1, rosbag2
 from tqdm import tqdm
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation import messages as msg
 from emoflow_ros.simulation.factors import Factors

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.errors import InputError
 
 _TICK = 1_000  # ns: event cameras stamp in microseconds

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
-from emoflow_ros.core.options import option
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.options import option
 from emoflow_ros.simulation.raycast import RayCaster, exact_bearings
 from emoflow_ros.simulation.scene import MOVING, Pose, Scene
 

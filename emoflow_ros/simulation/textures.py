@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.factors import TEXTURE_KINDS, Factors
 

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import Recording, require_camera
 from emoflow_ros.readers.bag import BagRecording

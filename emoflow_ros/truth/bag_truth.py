@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.bag_files import Bag, deserialize, open_bag, read_messages
 from emoflow_ros.readers.stamps import distinct

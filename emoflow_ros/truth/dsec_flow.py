@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.dsec import DsecFolder
 from emoflow_ros.truth.ground_truth import TrueFlow

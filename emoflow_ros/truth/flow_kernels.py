@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
 
 
 @njit(nogil=True)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.readers.stamps import distinct
 from emoflow_ros.truth.flow_kernels import carry
 from emoflow_ros.truth.ground_truth import FlowSource, PoseTrack, TrueFlow

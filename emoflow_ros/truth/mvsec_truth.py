@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.hdf5 import holds, open_hdf5, refuse
 from emoflow_ros.readers.numpy_damage import damage_as_value_error

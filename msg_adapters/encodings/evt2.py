@@ -8,8 +8,8 @@ its row in bits 0-10; TIME_HIGH the next 28 bits. 34 bits of microseconds wrap e
 import numpy as np
 from numba import types
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.types.events import Events
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import kernel_signature, run_kernel, view_words
 

@@ -8,7 +8,7 @@ time_base holds what the 31 bits cannot at the packet's start; they may roll ove
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import view_words
 

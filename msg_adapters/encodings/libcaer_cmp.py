@@ -7,8 +7,8 @@ time starts at the packet's time_base and counts 24 bits of microseconds in two 
 import numpy as np
 from numba import types
 
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.types.events import Events
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import count_bits, expand, kernel_signature, run_kernel, view_words
 

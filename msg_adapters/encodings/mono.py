@@ -6,7 +6,7 @@ Source: event_camera_codecs (ros-event-camera). Bits 0-31: ns since time_base, 3
 
 import numpy as np
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters.message import Statistics
 from msg_adapters.packet_decoder import view_words
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters.message import (
     NS_PER_S,
     Bytes,

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_MS, Events
+from emoflow_ros.core.types.events import NS_PER_MS, Events
 from msg_adapters.message import (
     NS_PER_S,
     Bytes,

@@ -9,8 +9,8 @@ from rosbags import rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from emoflow_ros.commands.info import inspect, main
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.messages import CAMERA_INFO, EVENT_ARRAY, MessageEncoder

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from emoflow_ros.core.egomotion import NodeEpipolar
+from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.types.gyro import GyroReadings
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.constraints import along_lines
-from emoflow_ros.core.egomotion import Residuals
-from emoflow_ros.core.lattice import Lattice
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.constraints import along_lines
+from emoflow_ros.core.lattice.egomotion import Residuals
+from emoflow_ros.core.lattice.field import Lattice
 
 LENSES = {
     "none": (),

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events, Window, WindowPolicy
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Events, Window, WindowPolicy
 
 MS = 1_000_000
 START = 1_500_000_000_000_000_000

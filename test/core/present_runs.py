@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, Window, WindowSlicer
-from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.core.products.present_motion import PresentMotion
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_MS, SLICE_MS, Window, WindowSlicer
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 

@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, Window
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.stream import ContinuousEstimator, State
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import SplineMotion
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
+from emoflow_ros.core.products.continuous import ContinuousEstimator, State
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, Window
 
 CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 LATTICE = Lattice(346, 260, 3, 3, 2)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import WindowSlicer
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.types.events import WindowSlicer
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.sensor import SensorModel

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.bounded_windows import RateLimitedSlicer
-from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.stream.bounded_windows import RateLimitedSlicer
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.estimate import Estimate, Status
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 

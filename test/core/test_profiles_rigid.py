@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera_motion import motion_matrices
-from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import NS_PER_S, WindowSlicer
+from emoflow_ros.core.geometry.camera_motion import motion_matrices
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.types.events import NS_PER_S, WindowSlicer
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 

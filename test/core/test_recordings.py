@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import NS_PER_S, Events, WindowPolicy, WindowSlicer
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.geometry.calibration import load_calibration
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.types.events import NS_PER_S, Events, WindowPolicy, WindowSlicer
 
 
 @dataclass(frozen=True)

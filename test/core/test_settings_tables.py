@@ -6,19 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from emoflow_ros.core import gyro_settings
-from emoflow_ros.core.gyro_settings import GYRO, GyroSettings
-from emoflow_ros.core.stream_settings import STREAM, StreamSettings
+import emoflow_ros.core
+from emoflow_ros.core.gyro.settings import GYRO, GyroSettings
+from emoflow_ros.core.products.settings import STREAM, StreamSettings
 
-FOLDER = Path(gyro_settings.__file__).parent
+FOLDER = Path(emoflow_ros.core.__file__).parent
 OF_FORM = {
-    "gyro": {"_NS_PER_S"},
-    "gyro_checks": {"UNLIKELY_6", "UNLIKELY_3", "_DEG", "AXES"},
-    "gyro_clock": {"_REACH_NS", "Times"},
-    "gyro_measurement": set(),
-    "stream": {"BRIGHTNESS"},
-    "gauge": {"_LEVER"},
-    "motion_prior": set(),
+    "gyro/gyro": {"_NS_PER_S"},
+    "gyro/checks": {"UNLIKELY_6", "UNLIKELY_3", "_DEG", "AXES"},
+    "gyro/clock": {"_REACH_NS", "Times"},
+    "gyro/measurement": set(),
+    "products/continuous": {"BRIGHTNESS"},
+    "products/gauge": {"_LEVER"},
+    "products/motion_prior": set(),
 }
 
 

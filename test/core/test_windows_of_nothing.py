@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import NS_PER_MS, Events, Window
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.lattice_config import LatticeConfig
-from emoflow_ros.core.lattice_estimator import LatticeEstimator
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import simulate
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_S
 
 START = 100 * NS_PER_S
 ANGULAR, LINEAR = np.array([0.05, -0.2, 0.3]), np.array([0.25, 0.1, -0.15])

@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.simulation import messages as msg
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording_files import Topic, write_bag

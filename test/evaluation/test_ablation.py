@@ -5,7 +5,7 @@ import json
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import ablation
 from emoflow_ros.evaluation.ablation import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.events import NS_PER_MS
+from emoflow_ros.core.types.events import NS_PER_MS
 from emoflow_ros.evaluation.trajectory_errors import Trajectory
 
 metrics = pytest.importorskip("evo.core.metrics", reason="no evo: pip install evo")

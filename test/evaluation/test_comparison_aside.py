@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_window_run import CAMERA, KnownErrors, run, spin
 
-from emoflow_ros.core.events import WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.events import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import window_run
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates

@@ -15,8 +15,8 @@ from benchmarks.comparison import __main__ as comparison
 from benchmarks.comparison.snippet import load_snippet
 from benchmarks.comparison.table import SEQUENCES as COMPARED
 from benchmarks.comparison.table import published
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES
 
 NAME = "outdoor_day2"

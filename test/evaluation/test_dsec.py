@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from synthetic import Plane, write_dsec
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, WindowPolicy
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.evaluation.protocols import make_plan

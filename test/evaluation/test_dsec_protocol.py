@@ -5,8 +5,8 @@ import pytest
 from known import ANGULAR, LINEAR, START, Known, errors_of, velocity
 from synthetic import Plane, write_dsec
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
 from emoflow_ros.evaluation.protocols import make_plan
 from emoflow_ros.evaluation.recording_options import Source
 from emoflow_ros.evaluation.window_run import evaluate

@@ -4,9 +4,9 @@ import h5py
 import numpy as np
 import pytest
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.products import INSTANTS
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import INSTANTS
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation import estimates_file
 from emoflow_ros.evaluation.estimates_columns import ADDED, QUALITY

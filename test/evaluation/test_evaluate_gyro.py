@@ -11,7 +11,7 @@ from known import Known
 from emoflow_ros.commands import evaluate as evaluate_command
 from emoflow_ros.commands import label as label_command
 from emoflow_ros.config import load_config
-from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.gyro.gyro import Gyro
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.recording_options import read_gyro, shares, with_choice
 from emoflow_ros.readers import open_recording

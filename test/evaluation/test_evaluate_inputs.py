@@ -10,7 +10,7 @@ from known import Known
 
 from emoflow_ros.commands import evaluate as evaluate_command
 from emoflow_ros.commands import info
-from emoflow_ros.core.events import WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.events import WindowPolicy, WindowSlicer
 from emoflow_ros.evaluation.window_run import evaluate as evaluate_all
 from emoflow_ros.readers import READERS, open_recording
 from emoflow_ros.readers.bag import BagRecording

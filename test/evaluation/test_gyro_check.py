@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.gyro_checks import axis_names
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroMeans, GyroReadings
+from emoflow_ros.core.gyro.checks import axis_names
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.gyro.measurement import GyroMeans
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.evaluation.gyro_check import align, check_lines, mirrored_axes, nearest_axes
 from emoflow_ros.evaluation.recording_options import GyroInput
 from emoflow_ros.readers.reader_base import Imu

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS, Events, WindowPolicy, WindowSlicer
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS, Events, WindowPolicy, WindowSlicer
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter, read_estimates
 from emoflow_ros.evaluation.run_progress import Progress
 from emoflow_ros.evaluation.window_run import proceed

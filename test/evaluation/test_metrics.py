@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.evaluation import metrics
 from emoflow_ros.evaluation.metrics import bootstrap_interval, paired_p_value
 

@@ -18,8 +18,8 @@ from synthetic import (
 )
 
 from emoflow_ros.commands.evaluate import main
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy
 from emoflow_ros.evaluation.benchmark_sequences import SEQUENCES, BenchmarkSequence
 from emoflow_ros.evaluation.protocols import make_plan
 from emoflow_ros.evaluation.recording_options import Source

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events, WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.benchmark_sequences import (
     PUBLISHED,

@@ -5,9 +5,9 @@ import pytest
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion
-from emoflow_ros.core.camera_motion import SplineMotion
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS
+from emoflow_ros.core.geometry.camera_motion import SplineMotion
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS
 from emoflow_ros.evaluation.relative_speed import RelativeSpeed
 
 STEP = 50 * NS_PER_MS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.evaluation.slicers import (
     CausalSlicer,
     ClipSlicer,

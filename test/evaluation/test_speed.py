@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.offline import figures, row, table
 from emoflow_ros.config import load_config
-from emoflow_ros.core.events import WindowSlicer
+from emoflow_ros.core.types.events import WindowSlicer
 from emoflow_ros.evaluation.estimates_file import EstimatesWriter
 from emoflow_ros.evaluation.window_run import evaluate
 from emoflow_ros.factory import make_estimator

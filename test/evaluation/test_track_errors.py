@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from constant_flow import ConstantFlow
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Quality, Status
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
 from emoflow_ros.evaluation.track_errors import TrackComparer
 from emoflow_ros.truth import TrueFlow, Truth
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emoflow_ros.core.estimate import Quality, Status
-from emoflow_ros.core.events import NS_PER_MS
+from emoflow_ros.core.types.estimate import Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS
 from emoflow_ros.evaluation.summary import summarise
 from emoflow_ros.evaluation.trajectory_errors import Trajectory, integrate, longest, trajectories
 from emoflow_ros.evaluation.window_results import WindowResult

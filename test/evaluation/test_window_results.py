@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emoflow_ros.core.estimate import Quality, Status
+from emoflow_ros.core.types.estimate import Quality, Status
 from emoflow_ros.evaluation.metrics import FlowErrors
 from emoflow_ros.evaluation.summary import summarise, summarise_by_truth
 from emoflow_ros.evaluation.window_results import WindowResult

@@ -12,8 +12,8 @@ from harness import CAMERA, MS, WAIT_S, Peer, children
 from moving_dots import MovingDots
 from rclpy.qos import QoSProfile
 
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import NS_PER_S, WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.estimate import Status
+from emoflow_ros.core.types.events import NS_PER_S, WindowPolicy, WindowSlicer
 from emoflow_ros.node.diagnostics import resident_mb
 from emoflow_ros.simulation.messages import MessageEncoder
 

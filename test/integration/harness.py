@@ -27,8 +27,8 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, Image
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.node.supervisor import FACTORY
 from emoflow_ros.simulation.messages import MessageEncoder
 

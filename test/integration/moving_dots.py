@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 
 _DOTS = 400
 _RIGHT, _DOWN = 100.0, 30.0  # px/s

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 
 LARGE = Camera(96, 72, 75.0, 75.0, 48.0, 36.0)
 DURATIONS_MS = (60.0, 30.0, 90.0)  # of windows; the first one at the start

@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from sensor_msgs.msg import CameraInfo, Imu
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.ros1_conversion import Ros1Converter
 from emoflow_ros.simulation.messages import EVENT_ARRAY, ImuSample, MessageEncoder

@@ -22,9 +22,9 @@ from shared_node import SharedNode
 from std_msgs.msg import Header
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import Events, WindowSlicer
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, Status
+from emoflow_ros.core.types.events import Events, WindowSlicer
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 

@@ -16,8 +16,8 @@ from sensor_msgs.msg import Image
 from shared_node import SharedNode
 from visualization_msgs.msg import Marker
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.products import flow_to_rgb
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import flow_to_rgb
 
 pytestmark = pytest.mark.dds
 

@@ -15,7 +15,7 @@ from geometry_msgs.msg import TwistWithCovarianceStamped
 from harness import Peer, Processes, children
 from shared_node import SharedNode, Values
 
-from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.types.estimate import Status
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.node.twist_output import to_ns
 from emoflow_ros.simulation.messages import MessageEncoder

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from repeated import results
 from shared_node import SharedNode
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 
 pytestmark = pytest.mark.dds
 

@@ -12,7 +12,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from shared_node import SharedNode
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.node.diagnostics import resident_mb
 
 pytestmark = pytest.mark.dds

@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from emoflow_ros.commands import label as label_command
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.labels import label_chunks
 

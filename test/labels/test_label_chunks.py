@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import Events, WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.events import Events, WindowPolicy, WindowSlicer
 from emoflow_ros.labels.label_chunks import Chunk, chunk_windows
 from emoflow_ros.labels.label_run import event_span, plan_chunks
 from emoflow_ros.readers import open_recording

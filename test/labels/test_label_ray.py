@@ -15,7 +15,7 @@ import pytest
 
 from emoflow_ros.commands import label as label_command
 from emoflow_ros.commands.label import ray_workers
-from emoflow_ros.core.events import WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.events import WindowPolicy, WindowSlicer
 from emoflow_ros.errors import InputError
 from emoflow_ros.evaluation.estimates_file import read_estimates
 from emoflow_ros.readers import open_recording

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 
 Run = list[int]  # indices of consecutive events
 

@@ -24,7 +24,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 with atheris.instrument_imports(include=["msg_adapters", "emoflow_ros.readers"]):
     from checked_arrays import checked_njit
 
-    from emoflow_ros.core import jit
+    from emoflow_ros.core.numerics import jit
 
     jit.njit = checked_njit  # before the kernels are imported
     from encoders import ENCODERS, payload, synthetic

@@ -6,7 +6,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 
 NS_PER_S = 1_000_000_000
 PACKAGES = ("dvs_msgs", "prophesee_event_msgs", "dv_ros_msgs", "dv_ros2_msgs")

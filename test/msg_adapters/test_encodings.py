@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters.encodings import evt2, evt3, evt21, libcaer, libcaer_cmp, mono
 from msg_adapters.message import Statistics
 

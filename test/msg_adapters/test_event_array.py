@@ -3,7 +3,7 @@ import pytest
 from encoders import assert_equal, synthetic
 from messages import PACKAGES, event_array
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters import DecodeError, make_decoder, supported_types
 
 

@@ -3,7 +3,7 @@ import pytest
 from encoders import COUNT_FROM_TIME_BASE, ENCODERS, assert_equal, payload, synthetic
 from messages import event_packet
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters import DecodeError, make_decoder
 from msg_adapters.message import Decoder
 

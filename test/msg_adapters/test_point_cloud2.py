@@ -5,7 +5,7 @@ import pytest
 from encoders import assert_equal, synthetic
 from messages import point_cloud, serialize, typestore
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters import DecodeError, make_decoder
 
 S = 1_000_000_000

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from limits import EVENTS_PER_BYTE, decode_within_limits
 from messages import event_array, event_packet, point_cloud
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from msg_adapters import EventMessage, make_decoder
 from msg_adapters.message import Decoder
 

@@ -7,7 +7,7 @@ import pytest
 from rosbags.rosbag1 import Reader as Rosbag1Reader
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.readers.bag_files import open_bag
 from msg_adapters import make_decoder
 

@@ -13,10 +13,10 @@ import numpy as np
 import psutil
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Window
-from emoflow_ros.core.gyro import Gyro
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.gyro.gyro import Gyro
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.warm_up import WARM_UP_ENDS
 

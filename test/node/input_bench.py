@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import Events, WindowPolicy
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import Events, WindowPolicy
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput
 from emoflow_ros.node.tasks import Task

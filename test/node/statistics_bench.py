@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.tasks import Result, Task
 
 

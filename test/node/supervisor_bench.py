@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Loss, Notice, Outcome, Progress, Result, Task, Wishes
 

@@ -8,8 +8,8 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from headers import MS, message
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.node import backlog as module
 from emoflow_ros.node.backlog import Backlog, LeftOut, stamp_of
 from emoflow_ros.simulation.messages import MessageEncoder

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.events import (
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import (
     NS_PER_MS,
     SLICE_BIN_NS,
     SLICE_EVENTS,
@@ -15,8 +16,7 @@ from emoflow_ros.core.events import (
     Window,
     WindowPolicy,
 )
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.node.channel import pack_window, unpack_window
 
 MS = NS_PER_MS

@@ -16,7 +16,7 @@ from fake_node import FakeNode
 from numpy.typing import NDArray
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.events import NS_PER_S, WindowSlicer
+from emoflow_ros.core.types.events import NS_PER_S, WindowSlicer
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.outputs import Outputs

@@ -3,9 +3,9 @@ import struct
 import pytest
 from input_bench import CAMERA, MS, SMALL, Bench
 
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import WindowPolicy
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import WindowPolicy
 from emoflow_ros.node.event_input import EventInput
 
 

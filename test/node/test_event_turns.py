@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from input_bench import MS, Bench
 
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import WindowPolicy
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import WindowPolicy
 from emoflow_ros.node import event_input
 
 

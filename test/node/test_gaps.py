@@ -15,9 +15,9 @@ from encoders import evt3
 from messages import event_packet
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import Events, WindowPolicy
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import Events, WindowPolicy
 from emoflow_ros.node.backlog import LeftOut
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.event_input import EventInput

@@ -9,11 +9,10 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from fake_clock import Clock
 
-from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.gyro import Gyro
-from emoflow_ros.core.gyro_checks import GyroState
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.gyro.gyro import Gyro
+from emoflow_ros.core.types.events import Events, Window
+from emoflow_ros.core.types.gyro import GyroReadings, GyroState
 from emoflow_ros.node.imu_input import ImuInput, MountingError, ReadingBuffer
 from emoflow_ros.node.tasks import Task
 from emoflow_ros.simulation.messages import ImuSample, MessageEncoder

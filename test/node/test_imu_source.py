@@ -16,12 +16,11 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events, Window, WindowSlicer
-from emoflow_ros.core.gyro_checks import GyroState, GyroStatus
-from emoflow_ros.core.gyro_measurement import GyroReadings
-from emoflow_ros.core.lattice import Lattice, LatticeFlow
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Events, Window, WindowSlicer
+from emoflow_ros.core.types.gyro import GyroReadings, GyroState, GyroStatus
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import pack, unpack
 from emoflow_ros.node.pipeline import Pipeline

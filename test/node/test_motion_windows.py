@@ -6,12 +6,12 @@ import numpy as np
 from supervisor_bench import next_outcome
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.bounded_windows import RateLimitedSlicer
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S, Events
-from emoflow_ros.core.present_motion import PresentMotion
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.present_motion import PresentMotion
+from emoflow_ros.core.stream.bounded_windows import RateLimitedSlicer
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.estimate import Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Events
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.node.supervisor import Supervisor
 from emoflow_ros.node.tasks import Job, Present, Result, Task

@@ -12,9 +12,9 @@ from fake_estimators import Recorder
 from fake_node import FakeNode, install_fake_tf
 
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import MotionModel, PresentTwist, Status, Twist
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import MotionModel, PresentTwist, Status, Twist
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from fake_clock import Clock
 
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.picture_budget import PictureBudget
 from emoflow_ros.node.tasks import Picture, Result, Task
 

@@ -17,9 +17,9 @@ from sensor_msgs.msg import Image
 from visualization_msgs.msg import Marker
 
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.calibration import camera_from_info
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.geometry.calibration import camera_from_info
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.picture_output import PictureOutput, to_camera_info, to_image, to_tracks
 from emoflow_ros.node.settings import NodeOptions, Settings
 from emoflow_ros.node.tasks import Picture, Result, Task

@@ -7,10 +7,10 @@ import pytest
 from fake_estimators import Recorder
 
 from emoflow_ros.config import Config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate
-from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.products import flow_to_rgb
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import flow_to_rgb
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.painter import Painter
 from emoflow_ros.node.tasks import Picture, Wishes
 

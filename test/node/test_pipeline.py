@@ -11,8 +11,8 @@ from graph import DVS
 from pipeline_bench import CAMERA, LEFT, MS, PipelineBench
 from sensor_msgs.msg import CameraInfo
 
-from emoflow_ros.core.calibration import camera_from_info
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.calibration import camera_from_info
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Job, Loss, Progress

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Status
-from emoflow_ros.core.events import Window, WindowSlicer
-from emoflow_ros.core.lattice_estimator import LatticeEstimator
-from emoflow_ros.core.lattice_fit import LatticeFit
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.types.estimate import Estimate, Status
+from emoflow_ros.core.types.events import Window, WindowSlicer
 from emoflow_ros.simulation.recording import simulate
 
 CAMERA = Camera(120, 90, 110.0, 110.0, 60.0, 45.0)

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import Config, load_config
-from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.camera import MAX_PIXELS, Camera
-from emoflow_ros.core.clock import Timestamps
-from emoflow_ros.core.events import WindowPolicy
-from emoflow_ros.core.thinning import EventBudget
+from emoflow_ros.core.geometry.calibration import load_calibration
+from emoflow_ros.core.geometry.camera import MAX_PIXELS, Camera
+from emoflow_ros.core.stream.clock import Timestamps
+from emoflow_ros.core.stream.thinning import EventBudget
+from emoflow_ros.core.types.events import WindowPolicy
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.channel import Channel
 from emoflow_ros.node.diagnostics import Statistics

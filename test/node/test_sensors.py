@@ -10,7 +10,7 @@ import yaml
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.calibration import load_calibration
+from emoflow_ros.core.geometry.calibration import load_calibration
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import calibration_url as module
 from emoflow_ros.node.calibration_url import calibration_path

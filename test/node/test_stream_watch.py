@@ -6,8 +6,8 @@ import pytest
 from fake_clock import Clock
 from statistics_bench import make_result, some_events
 
-from emoflow_ros.core.estimate import Status
-from emoflow_ros.core.events import Window
+from emoflow_ros.core.types.estimate import Status
+from emoflow_ros.core.types.events import Window
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Loss, Result, Task

@@ -14,9 +14,9 @@ import pytest
 from supervisor_bench import CAMERA, WAIT_S, Bench
 
 from emoflow_ros import compiled_code
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import MotionModel, Status
-from emoflow_ros.core.products import flow_to_rgb
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import flow_to_rgb
+from emoflow_ros.core.types.estimate import MotionModel, Status
 from emoflow_ros.node import supervisor
 from emoflow_ros.node.tasks import Loss, Picture, Wishes
 from emoflow_ros.node.worker_process import WorkerProcess

@@ -28,9 +28,9 @@ def compiled():
 
 SCRIPT = f"""{COMPILED}
 from emoflow_ros.config import load_config
-from emoflow_ros.core.events import NS_PER_MS, SLICE_MS, WindowSlicer
+from emoflow_ros.core.types.events import NS_PER_MS, SLICE_MS, WindowSlicer
 from emoflow_ros.factory import make_estimator
-from emoflow_ros.core.present_motion import PresentMotion
+from emoflow_ros.core.products.present_motion import PresentMotion
 from emoflow_ros.node.worker import _Worker
 from emoflow_ros.simulation.recording import simulate
 

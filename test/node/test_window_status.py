@@ -5,8 +5,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.node.outputs import judge_dropped, judge_failed, judge_result
 from emoflow_ros.node.reports import Level
 from emoflow_ros.node.tasks import Result, Task

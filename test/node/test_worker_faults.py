@@ -12,7 +12,7 @@ import pytest
 from supervisor_bench import CAMERA, WAIT_S, Bench, Clumsy
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.estimate import Status
+from emoflow_ros.core.types.estimate import Status
 from emoflow_ros.errors import InputError
 from emoflow_ros.node import supervisor
 from emoflow_ros.node.channel import Channel

@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 
 
 @pytest.fixture(autouse=True)

@@ -5,10 +5,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from emoflow_ros.core import camera_motion
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Status
-from emoflow_ros.core.events import Events, Window
+from emoflow_ros.core.geometry import camera_motion
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.errors import InputError
 from emoflow_ros.published.assess import assess
 from emoflow_ros.published.estimator import ImplicitEstimator

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
+from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.published import fit as loop
 from emoflow_ros.published.fit import Fit, Problem, fit
 from emoflow_ros.published.implicit_config import (

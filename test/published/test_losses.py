@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
-from emoflow_ros.core import camera_motion
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.camera_motion import basis
+from emoflow_ros.core.geometry import camera_motion
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import basis
 from emoflow_ros.published import losses
 from emoflow_ros.published.field import MotionSpline
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from emoflow_ros.core.camera_motion import SplineMotion, basis
+from emoflow_ros.core.geometry.camera_motion import SplineMotion, basis
 from emoflow_ros.errors import InputError
 from emoflow_ros.published.field import CoordinateMLP, MotionSpline
 from emoflow_ros.published.fit import EarlyStopping, field_rate, make_optimizer

@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.options import options_of, replace_options
+from emoflow_ros.core.types.options import options_of, replace_options
 from emoflow_ros.published.implicit_config import ImplicitConfig
 
 

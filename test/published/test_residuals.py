@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from emoflow_ros.core.camera_motion import motion_matrices
+from emoflow_ros.core.geometry.camera_motion import motion_matrices
 from emoflow_ros.published.assess import epipolar_residuals, rotation_residuals
 
 Array = NDArray[np.float64]

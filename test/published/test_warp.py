@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from emoflow_ros.core.options import replace_options
+from emoflow_ros.core.types.options import replace_options
 from emoflow_ros.errors import InputError
 from emoflow_ros.published.field import CoordinateMLP, warp
 from emoflow_ros.published.implicit_config import FieldConfig, WarpConfig

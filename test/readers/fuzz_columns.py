@@ -20,7 +20,7 @@ sys.path[:0] = [str(TESTS.parent), str(TESTS / "recordings")]
 
 from column_files import ARRAY_WRITERS, SCALES, steady_events, write_text  # noqa: E402
 
-from emoflow_ros.core.events import Events  # noqa: E402
+from emoflow_ros.core.types.events import Events  # noqa: E402
 from emoflow_ros.readers import open_recording  # noqa: E402
 
 LAYOUTS = ("txyp", "xytp", "xypt", "tpxy", "pxyt", "ptxy", "xtyp")

@@ -31,9 +31,9 @@ from column_files import ARRAY_WRITERS  # noqa: E402
 from encoders import ENCODERS, payload  # noqa: E402
 from event_bags import make_events, write_event_bag  # noqa: E402
 
-from emoflow_ros.core.calibration import load_calibration  # noqa: E402
-from emoflow_ros.core.camera import Camera  # noqa: E402
-from emoflow_ros.core.events import Events  # noqa: E402
+from emoflow_ros.core.geometry.calibration import load_calibration  # noqa: E402
+from emoflow_ros.core.geometry.camera import Camera  # noqa: E402
+from emoflow_ros.core.types.events import Events  # noqa: E402
 from emoflow_ros.errors import InputError  # noqa: E402
 from emoflow_ros.readers import open_recording  # noqa: E402
 from emoflow_ros.truth import load_truth  # noqa: E402

@@ -27,7 +27,7 @@ from event_bags import EVENT_ARRAY, event_array_bytes, write_event_bag  # noqa: 
 from mcap_files import McapLayout, Topic, write_mcap  # noqa: E402
 from rosbags import rosbag1  # noqa: E402
 
-from emoflow_ros.core.events import Events  # noqa: E402
+from emoflow_ros.core.types.events import Events  # noqa: E402
 from emoflow_ros.readers import open_recording, unordered  # noqa: E402
 
 SIZE = (64, 48)

@@ -8,7 +8,7 @@ import pytest
 from column_files import ARRAY_WRITERS, steady_events, write_hdf5, write_npy
 from event_bags import assert_equal
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.column_layout import ColumnOptions

@@ -8,7 +8,7 @@ from backports import zstd
 from event_bags import assert_equal, make_events, write_event_bag
 
 from emoflow_ros.commands.info import inspect
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 

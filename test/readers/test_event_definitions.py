@@ -10,7 +10,7 @@ from rosbags import rosbag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from emoflow_ros.commands.info import inspect, main
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.bag_files import open_bag, read_messages

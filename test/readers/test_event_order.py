@@ -15,7 +15,7 @@ from encoders import evt3
 from emoflow_ros.commands import evaluate as evaluate_command
 from emoflow_ros.commands import label as label_command
 from emoflow_ros.commands.info import inspect
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording, unordered
 

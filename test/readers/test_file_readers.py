@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from event_bags import assert_equal
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 

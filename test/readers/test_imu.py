@@ -13,7 +13,7 @@ from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from emoflow_ros.commands.info import inspect, main
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.bag_files import open_bag, read_messages

@@ -8,7 +8,7 @@ from event_bags import EVENT_ARRAY, assert_equal, event_array_bytes, make_events
 from mcap_files import McapLayout, Topic, write_mcap
 
 from emoflow_ros.commands.info import inspect
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.bag_files import open_bag, read_messages

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import simulate

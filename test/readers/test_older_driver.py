@@ -12,7 +12,7 @@ import yaml
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.readers import open_recording
 
 sys.path.append(str(Path(__file__).parents[1] / "msg_adapters"))

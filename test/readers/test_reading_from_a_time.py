@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.readers import bag_events, mvsec, open_recording
 
 START_NS, STEP_NS, COUNT = 1_000_000_000, 1_000_000, 20_000  # 20 s at 1 kHz

@@ -12,7 +12,7 @@ from event_bags import assert_equal
 from emoflow_ros.cli import EXIT_BAD_INPUT
 from emoflow_ros.cli import evaluate as evaluate_command
 from emoflow_ros.cli import info as info_command
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.column_layout import ColumnOptions

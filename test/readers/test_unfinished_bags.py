@@ -10,7 +10,7 @@ import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.readers.bag_files import open_bag

@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 
 SCALES = {"s": 1e-9, "ms": 1e-6, "us": 1e-3, "ns": 1}
 

@@ -7,7 +7,7 @@ import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.types.events import NS_PER_S, Events
 
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 INFO = ("plumb_bob", (0.01, 0, 0, 0, 0.0), (20.0, 0, 16, 0, 20, 12, 0, 0, 1))

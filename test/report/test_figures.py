@@ -5,8 +5,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from emoflow_ros.core.estimate import MotionModel, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS
+from emoflow_ros.core.types.estimate import MotionModel, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS
 from emoflow_ros.evaluation.metrics import FlowErrors
 from emoflow_ros.evaluation.trajectory_errors import Trajectory
 from emoflow_ros.evaluation.window_results import WindowResult

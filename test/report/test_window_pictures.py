@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events, Window
-from emoflow_ros.core.products import flow_to_rgb
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.products.pictures import flow_to_rgb
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.evaluation.run_progress import Example
 from emoflow_ros.evaluation.window_results import assess
 from emoflow_ros.report.documents import png_uri

@@ -17,10 +17,10 @@ from benchmarks.scoreboard.gyros import (
 from benchmarks.scoreboard.observe import observe
 from benchmarks.scoreboard.subjects import Material, shared_subjects
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import Events
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import Events
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.readers.reader_base import Imu
 from emoflow_ros.simulation.recording import build_scene
 from emoflow_ros.simulation.simulated_truth import GroundTruth

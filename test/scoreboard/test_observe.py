@@ -13,9 +13,9 @@ from benchmarks.scoreboard.observe import observe, start_times
 from benchmarks.scoreboard.subjects import Material
 from benchmarks.scoreboard.truths import NominalFlow, relative_pose, true_rotation
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, MotionModel, Quality, Status
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.truth import TrueFlow, TrueTwist, Truth
 from emoflow_ros.truth.text_truth import ConstantRotation

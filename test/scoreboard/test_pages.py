@@ -19,8 +19,8 @@ from benchmarks.scoreboard.table import table
 from benchmarks.scoreboard.verdicts import judge
 from benchmarks.scoreboard.windows import WINDOW, make_windows
 from emoflow_ros.config import load_config
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 48.0, 36.0)

@@ -6,9 +6,9 @@ import yaml
 from rosbags.highlevel import AnyReader
 
 from emoflow_ros.commands import simulate as executable
-from emoflow_ros.core.calibration import load_calibration
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.geometry.calibration import load_calibration
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.factors import draw_factors
 from emoflow_ros.simulation.messages import (

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import Events
+from emoflow_ros.core.types.events import Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.simulation.recording import simulate
 from emoflow_ros.simulation.sensor import (

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.commands import simulate as executable
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.gyro_config import GyroConfig
-from emoflow_ros.core.gyro_measurement import GyroReadings
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.messages import MessageEncoder
 from emoflow_ros.simulation.recording import (

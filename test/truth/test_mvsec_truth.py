@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S, Events
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S, Events
 from emoflow_ros.errors import InputError
 from emoflow_ros.truth import load_truth
 from emoflow_ros.truth.mvsec_truth import SmoothedOdometry, load_mvsec_truth

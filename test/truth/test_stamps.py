@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rosbags import rosbag1
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers.text_tables import read_imu_text
 from emoflow_ros.simulation.messages import MessageEncoder

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.estimate import Estimate, Quality, Status
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.types.estimate import Estimate, Quality, Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.truth.dsec_flow import DsecInterval, Submission, read_flow_png, write_flow_png
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 from emoflow_ros.errors import InputError
 from emoflow_ros.readers import open_recording
 from emoflow_ros.simulation.recording import davis346, simulate

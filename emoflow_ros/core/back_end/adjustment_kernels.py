@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -15,7 +15,7 @@ from emoflow_ros.core.back_end.adjustment_kernels import (
     share_of_depths,
 )
 from emoflow_ros.core.back_end.prior_kernels import Prior, motion_prior, prior_cost
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -9,8 +9,8 @@ from emoflow_ros.core.back_end.adjustment_kernels import Observations
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.walks import Walks
-from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.front_end.patches import Patches
+from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]

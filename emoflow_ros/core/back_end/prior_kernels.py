@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, POSE, Unknowns
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

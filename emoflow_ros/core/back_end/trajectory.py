@@ -9,8 +9,8 @@ from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, rotated
 from emoflow_ros.core.back_end.prior_kernels import rotation_vector
 from emoflow_ros.core.back_end.settings import BackEndSettings
-from emoflow_ros.core.estimate import Motion
-from emoflow_ros.core.events import NS_PER_S
+from emoflow_ros.core.types.estimate import Motion
+from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.jit import njit
+from emoflow_ros.core.numerics.jit import njit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

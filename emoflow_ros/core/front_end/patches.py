@@ -5,14 +5,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.camera import Camera
-from emoflow_ros.core.events import NS_PER_S
 from emoflow_ros.core.front_end.corner_kernels import cornerness, corners, products
 from emoflow_ros.core.front_end.patch_kernels import INDEPENDENT, align, cut
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import GRID_PX, Picture, Slice
-from emoflow_ros.core.lattice_kernels import bilinear
-from emoflow_ros.core.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.field_kernels import bilinear
+from emoflow_ros.core.numerics.smoothing import gaussian, outwards, smooth
+from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]

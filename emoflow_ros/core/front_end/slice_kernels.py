@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.jit import njit
-from emoflow_ros.core.smoothing import Taps, smooth
+from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.smoothing import Taps, smooth
 
 F32 = NDArray[np.float32]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.front_end.slice_kernels import draw_signed, halve, slope
-from emoflow_ros.core.smoothing import gaussian, outwards
+from emoflow_ros.core.numerics.smoothing import gaussian, outwards
 
 F32 = NDArray[np.float32]
 

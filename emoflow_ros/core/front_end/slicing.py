@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.events import NS_PER_S, Events
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import SliceEvents
-from emoflow_ros.core.thinning import spread_places
+from emoflow_ros.core.stream.thinning import spread_places
+from emoflow_ros.core.types.events import NS_PER_S, Events
 
 F32 = NDArray[np.float32]
 

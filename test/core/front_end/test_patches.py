@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from emoflow_ros.core.camera import Camera
 from emoflow_ros.core.front_end.patches import Patches, choose, follow, looked_up, on_plane
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, grid_nodes
+from emoflow_ros.core.geometry.camera import Camera
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 80.0, 60.0)
 SETTINGS = FrontEndSettings()

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from emoflow_ros.core.events import NS_PER_MS, Events
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import (
     GRID_PX,
@@ -14,6 +13,7 @@ from emoflow_ros.core.front_end.slices import (
     sharpness,
 )
 from emoflow_ros.core.front_end.slicing import slices
+from emoflow_ros.core.types.events import NS_PER_MS, Events
 
 SIZE = (96, 64)
 ROWS, COLUMNS = grid_nodes(SIZE).shape[:2]

@@ -1,0 +1,1 @@
+"""Cameras, their calibration, and the motion field that a moving one sees."""

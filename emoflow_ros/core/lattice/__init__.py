@@ -1,0 +1,1 @@
+"""The flow of one window on a lattice, and the motion that it shows by itself."""

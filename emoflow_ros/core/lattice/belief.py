@@ -1,0 +1,280 @@
+"""What is known of the motion and the scene before a window's own events are used.
+
+Earlier windows leave a belief in the egomotion and the inverse depths of the scene; a gyro measures
+the rotation.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, GREVILLE
+from emoflow_ros.core.gyro.measurement import GyroMeasurement
+from emoflow_ros.core.lattice.egomotion import NodeEpipolar
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.types.events import NS_PER_S, Window
+
+Array = NDArray[np.float64]
+
+# Information of the normal equations over the true information (measured, docs/method.md). It is
+# too large, because the errors of the events are not independent: many events come from one edge,
+# and the lattice smooths their errors into each other.
+INFORMATION_EXCESS = 10.0
+
+_FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many windows
+_MAX_APPROACH = 0.2  # approach, depths per window
+
+# Weights of the control points in the spline's coefficients of the first two Legendre polynomials,
+# as of a GyroMeasurement: its mean over the window, and half of the change of its best line.
+_MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
+_SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
+# Standard deviation, rad/s, that is added to half of the change as a gyro tells it: none is exact.
+_SLOPE_ERROR = 1e-3
+_OF_SLOPE = 0.3  # information on half of the change over that on the mean, of another estimate
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A Gaussian over (w, v): angular velocity in rad/s and unit direction of translation.
+
+    Attributes:
+        t: time that it holds at, ns.
+        w, v: (3,) mean.
+        covariance: (6, 6) of (w, v); along v itself it means nothing and is 1.
+    """
+
+    t: int
+    w: Array
+    v: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, t: int, w: Array, v: Array, covariance: Array) -> "Belief":
+        """Build it from a covariance (6, 6) of (w, v), whatever that says along v."""
+        across = np.eye(6)
+        across[3:, 3:] -= np.outer(v, v)
+        covariance = across @ covariance @ across.T
+        covariance[3:, 3:] += np.outer(v, v)
+        return cls(t, w, v, 0.5 * (covariance + covariance.T))
+
+    def predicted_information(self, t: int, angular_drift: float, direction_drift: float) -> Array:
+        """Information (6, 6) that is left on (w, v) at a later time, in the units given.
+
+        Args:
+            t: ns.
+            angular_drift: rad/s per square root of a second.
+            direction_drift: rad per square root of a second.
+        """
+        elapsed = max(0, t - self.t) / NS_PER_S
+        drift = np.repeat([angular_drift**2, direction_drift**2], 3) * elapsed
+        predicted: Array = INFORMATION_EXCESS * np.linalg.inv(self.covariance + np.diag(drift))
+        return predicted
+
+    def facing(self, sign: float) -> "Belief":
+        """Return the same with v turned round where `sign` is -1."""
+        both = np.repeat([1.0, sign], 3)
+        return Belief(self.t, self.w, sign * self.v, self.covariance * np.outer(both, both))
+
+    def across(self) -> Array:
+        """Covariance (6, 6) in the order of ROS twists, (v, w), with v across its direction."""
+        order = np.r_[3:6, 0:3]
+        covariance = self.covariance.copy()
+        covariance[3:, 3:] -= np.outer(self.v, self.v)
+        return covariance[np.ix_(order, order)]
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """What earlier windows say about the motion in the middle of this one.
+
+    Attributes:
+        mean: (6,) w in rad per window, v.
+        information: (6, 6).
+    """
+
+    mean: Array
+    information: Array
+
+    @classmethod
+    def carried(
+        cls, belief: Belief, window: Window, angular_drift: float, direction_drift: float
+    ) -> Self:
+        """Carry a belief over to the middle of a window, in its units.
+
+        Args:
+            belief: what is known from earlier windows.
+            window: the one to come.
+            angular_drift: deg/s per square root of a second.
+            direction_drift: deg per square root of a second.
+        """
+        information = belief.predicted_information(
+            (window.t_start + window.t_end) // 2,
+            np.radians(angular_drift),
+            np.radians(direction_drift),
+        )
+        unit = np.repeat([window.duration, 1.0], 3)
+        return cls(unit * np.concatenate([belief.w, belief.v]), information / np.outer(unit, unit))
+
+    def surprise(self, directions: Array) -> Array:
+        """Cost (M,) that directions of v (M, 3), of either sign, would add to that of the flow."""
+        of_v = np.linalg.inv(np.linalg.inv(self.information)[3:, 3:])
+        apart = np.stack([directions - self.mean[3:], directions + self.mean[3:]])
+        cost: Array = np.einsum("smi,ij,smj->sm", apart, of_v, apart).min(axis=0)
+        return cost / INFORMATION_EXCESS
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Structure of the scene, carried on as inverse depths at the nodes with their certainty.
+
+    One window tells rotation and sideways translation apart only by the scene's relief, and
+    poorly. The relief stays while the motion changes. Without it the translational flow u - b w
+    has a free length along the epipolar line. With it this length is speed * rho * |a v|, known
+    but for the speed, which no single camera knows.
+
+    Attributes:
+        inverse_depth: (nodes,) for a unit v, in travelled distances per window.
+        information: (nodes,) inverse variances.
+    """
+
+    inverse_depth: Array
+    information: Array
+
+    @classmethod
+    def observe(
+        cls,
+        epipolar: NodeEpipolar,
+        flow: Array,
+        motion: tuple[Array, Array],
+        evidence: Array,
+        predicted: "Structure | None",
+    ) -> "Structure":
+        """Read it from a fitted flow.
+
+        Args:
+            epipolar: the lattice's constraint.
+            flow: (nodes, 2) px per window.
+            motion: w (3,) rad per window and v (3,) unit.
+            evidence: (nodes, 2, 2) the events' information on the flow.
+            predicted: what the fit already knew, and may count on again.
+        """
+        w, v = motion
+        line, squared = _lines(epipolar, v)
+        translational = flow - epipolar.b @ w
+        inverse_depth = (translational * line).sum(-1) / squared
+        along = ((line[:, None] @ evidence)[:, 0] * line).sum(-1)
+        information = epipolar.usable * along / INFORMATION_EXCESS
+        if predicted is not None:
+            information = information + predicted.information
+        return cls(inverse_depth, information)
+
+    def predict(
+        self,
+        lattice: Lattice,
+        epipolar: NodeEpipolar,
+        flow: Array,
+        windows: float,
+        v: Array,
+        drift: float,
+    ) -> "Structure":
+        """Move it along with the scene into a later window.
+
+        Args:
+            lattice: the flow's.
+            epipolar: the lattice's constraint.
+            flow: (nodes, 2) px per window, now.
+            windows: how far ahead, in windows.
+            v: (3,) unit direction of translation.
+            drift: relative change of depth that is expected anyway.
+        """
+        _, squared = _lines(epipolar, v)
+        error = (drift * self.inverse_depth) ** 2 + _FLOW_ERROR_PX**2 / squared
+        certainty = 1 / (1 / np.maximum(self.information, 1e-9) + error)
+        source = lattice.pixels - windows * flow
+        certain = np.stack([certainty, certainty * self.inverse_depth], axis=-1)
+        known, inverse_depth = lattice.interpolate(certain, source).T
+        inverse_depth = inverse_depth / known
+        # A scene that comes closer grows: Z' = Z - v_z.
+        approach = np.clip(windows * inverse_depth * v[2], -_MAX_APPROACH, _MAX_APPROACH)
+        inside = ((source >= 0) & (source <= lattice.pixels[-1])).all(axis=-1)
+        return Structure(inverse_depth * (1 + approach), np.where(inside, known, 1e-9))
+
+
+def _lines(epipolar: NodeEpipolar, v: Array) -> tuple[Array, Array]:
+    """Epipolar lines a v (nodes, 2) and their squared norms, never zero."""
+    line = epipolar.a @ v
+    return line, (line**2).sum(-1) + epipolar.soft**2
+
+
+@dataclass(frozen=True)
+class KnownRotation:
+    """The angular velocity of a window, in rad per window, and how well it is known.
+
+    Mean and slope take part in the fit.
+
+    Attributes:
+        mean: (3,).
+        information: (3, 3) of the mean, in units of the normal equations, which are too sure by
+            INFORMATION_EXCESS.
+        slope: (3,) half of its change over the window.
+        slope_information: (3, 3) likewise.
+        bend: (3,) what it is in the middle of the window, less the mean.
+    """
+
+    mean: Array
+    information: Array
+    slope: Array
+    slope_information: Array
+    bend: Array
+
+    @classmethod
+    def measured(cls, measurement: GyroMeasurement, duration: float) -> Self:
+        """Take it from a gyro's measurement of a window of `duration` seconds."""
+        of_mean, of_slope = measurement.covariances[:2]
+        information, slope_information = (
+            INFORMATION_EXCESS * np.linalg.inv(covariance) / duration**2
+            for covariance in (of_mean, of_slope + _SLOPE_ERROR**2 * np.eye(3))
+        )
+        mean, slope = duration * measurement.coefficients[:2]
+        bend = duration * measurement.middle - mean
+        return cls(mean, information, slope, slope_information, bend)
+
+    @classmethod
+    def seen(cls, w: Array, covariance: Array) -> Self:
+        """Take it from another estimate of the window.
+
+        Args:
+            w: (N, 3) at evenly spaced times from its start to its end, rad per window; N is odd.
+            covariance: (3, 3) of each.
+        """
+        s = np.linspace(-1.0, 1.0, len(w))
+        weight = np.ones(len(w))
+        weight[[0, -1]] = 0.5
+        mean = weight @ w / weight.sum()
+        slope = (weight * s) @ w / (weight @ s**2)
+        information = INFORMATION_EXCESS * np.linalg.inv(covariance)
+        bend = w[len(w) // 2] - mean
+        return cls(mean, information, slope, _OF_SLOPE * information, bend)
+
+    def control_points(self) -> Array:
+        """Build the control points (4, 3) of mean and slope."""
+        return self.mean + np.outer(2 * GREVILLE - 1, self.slope)
+
+    def add_to(self, w: Array, corner: Array, corner_vector: Array) -> None:
+        """Add it to normal equations.
+
+        Args:
+            w: (4, 3) present control points, rad per window.
+            corner: (M, M), the control points' 12 unknowns first.
+            corner_vector: (M,).
+        """
+        unknowns = 3 * CONTROL_POINTS
+        for weights, known, information in (
+            (_MEAN, self.mean, self.information),
+            (_SLOPE, self.slope, self.slope_information),
+        ):
+            corner[:unknowns, :unknowns] += np.kron(np.outer(weights, weights), information)
+            surprise = information @ (known - weights @ w)
+            corner_vector[:unknowns] += np.kron(weights, surprise)

@@ -1,0 +1,298 @@
+"""The lattice of the real-time estimator: a warm-started fit of flow and motion per window."""
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
+
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.gyro.config import GyroConfig
+from emoflow_ros.core.gyro.gyro import Gyro
+from emoflow_ros.core.gyro.measurement import GyroMeasurement
+from emoflow_ros.core.lattice.belief import KnownRotation, MotionPrior
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.confinement import is_confined
+from emoflow_ros.core.lattice.contrast import contrast_gain
+from emoflow_ros.core.lattice.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
+from emoflow_ros.core.lattice.fit import FreeFlow, LatticeFit
+from emoflow_ros.core.lattice.flow_starts import best_start, cold_start, fresh_start, is_lost
+from emoflow_ros.core.lattice.memory import Memory
+from emoflow_ros.core.lattice.motion_windows import MotionChange
+from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
+from emoflow_ros.core.lattice.reading import EstimateReader, with_gyro
+from emoflow_ros.core.lattice.refinement import Depths, refined
+from emoflow_ros.core.lattice.selection import ModelSelector
+from emoflow_ros.core.lattice.uncertainty import PossibleMotions, temperature
+from emoflow_ros.core.lattice.window_events import WindowEvents
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.events import Window
+
+Array = NDArray[np.float64]
+
+_COARSE_EVENTS = 10_000  # are enough at reduced resolution
+_CONVERGED_PX, _STEPS_AFTER_CHANGE = 0.01, 3
+# 1 - |agreement| from which earlier windows no longer count: a tenth of the flow on the wrong side
+_DOUBT = 0.2
+_ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
+_SWITCH = 0.2  # share of the present residual cost by which another direction of v must be cheaper
+
+
+class LatticeEstimator:
+    """Fits flow lattice and egomotion spline to one window after another (an Estimator).
+
+    Args:
+        camera: with its lens.
+        config: see LatticeConfig.
+        imu: how good the gyro is whose readings the windows bring.
+    """
+
+    def __init__(
+        self, camera: Camera, config: LatticeConfig, imu: GyroConfig | None = None
+    ) -> None:
+        self.config = config
+        self._image = WorkingImage.of(camera)
+        self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
+        self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
+        self._fit = LatticeFit(self.lattice, self._epipolar, config)
+        self._change = MotionChange(self._fit.contrasts[0.25])
+        self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
+        self._gyro = Gyro(imu or GyroConfig())
+        # The systems are small: threads of the linear algebra library would only spin.
+        self._threads = ThreadpoolController()
+        self._events = WindowEvents(*np.zeros((4, 0), np.float32))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget previous windows: the next one starts cold."""
+        self._last: Memory | None = None
+        self._reader.forget()
+        self._selector = ModelSelector()
+
+    def estimate(self, window: Window) -> Estimate:
+        """Fit flow and egomotion to one window."""
+        measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
+        self._started = time.perf_counter()
+        with self._threads.limit(limits=1, user_api="blas"):
+            found = self._estimate(window, measurement)
+        return with_gyro(found, measurement, self.config)
+
+    def refined(self, estimate: Estimate, depths: Depths) -> Estimate:
+        """Fit the flow of the last window again, with an estimate and depths on the sensor."""
+        depths = replace(depths, points=depths.points / self._image.sensor_px)
+        with self._threads.limit(limits=1, user_api="blas"):
+            found = refined(self._fit, self._events, estimate, depths)
+        if found is None:
+            return estimate
+        flow = LatticeFlow(
+            *self._image.on_sensor(self.lattice, found), estimate.t_start, estimate.t_end
+        )
+        return replace(estimate, flow=flow)
+
+    def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
+        self._iterations = 0
+        events = prepare(window, self._image, self.config)
+        if events is None:
+            return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
+        fit, last = self._fit, self._last
+        self._events = events
+        fit.known = None
+        if measurement is not None:
+            fit.known = KnownRotation.measured(measurement, window.duration)
+        warm = last is not None and last.reaches(window)
+        coarse = fit.contrasts[0.25]
+        stop: str | None
+        try:
+            if warm and last is not None:
+                flows = last.flows(window)
+                if fit.known is not None:
+                    rotated = last.rotation(window)
+                    flows += [fit.rotated(flow, rotated) for flow in flows]
+                fit.flow = best_start(coarse, events, flows)
+                stop = self._fit_warm(events, last.predict(fit, window))
+                # After the deadline there is no time for a cold fit, even if the flow is lost.
+                warm = self._late() or not is_lost(
+                    coarse, events, fit.flow, fresh_start(coarse, events, self.lattice.shape)
+                )
+            if not warm:
+                self.reset()
+                stop = self._fit_cold(events)
+            gain = self._gain(events)
+            if stop is None or self._shows_no_motion(events, gain):
+                return self._nothing(window, len(events), Status.NO_MOTION, gain)
+            quality = self._quality(
+                len(events), stop, gain, warm=warm,
+                change_px=self._change.measure(events, fit.flow),
+            )  # fmt: skip
+            result = self._result(window, quality)
+        except np.linalg.LinAlgError:
+            return self._nothing(window, len(events), Status.DIVERGED)
+        if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
+            return self._nothing(window, len(events), Status.DIVERGED)
+        return result
+
+    def _fit_cold(self, events: WindowEvents) -> str | None:
+        """Search a constant flow, refine it, then add the egomotion; None if nothing moves."""
+        fit = self._fit
+        constant = cold_start(fit.contrasts[0.25], events, self.lattice.shape)
+        fit.flow = constant
+        if fit.known is not None:
+            rotated = fit.rotated(np.zeros(self.lattice.shape, np.float32), np.zeros(3))
+            fit.flow = best_start(fit.contrasts[0.25], events, [constant, rotated])
+        fit.motion = fit.structure = None
+        fit.straight = False
+        for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
+            for _ in range(steps):
+                fit.linearise(events, scale)
+                fit.step_free()
+                self._iterations += 1
+        fit.linearise(events, 1.0)
+        if self._shows_no_motion(events, self._gain(events)):  # leave out the costly steps
+            return None
+        free = fit.free_flow()
+        found = self._epipolar.search(*free.evidence, sized=free.known is None)
+        best = int(found.cost.argmin())
+        fit.motion = Motion.constant(found.w[best], found.v[best])
+        self._select(free, found.v[best], found.w[best])
+        return self._refine(events, self.config.cold_iterations, None, hurry=False)
+
+    def _fit_warm(self, events: WindowEvents, prior: MotionPrior | None) -> str:
+        """Correct a prediction of flow and motion from coarse to fine."""
+        fit = self._fit
+        fit.step_px = np.inf
+        few = events.every(max(1, len(events) // _COARSE_EVENTS))
+        for scale, steps in ((0.25, 2), (0.5, 1)) if fit.known is None else ((0.5, 1),):
+            for _ in range(steps):
+                if self._late():
+                    break
+                fit.linearise(few, scale)
+                self._step(prior)
+        return self._refine(events, self.config.warm_iterations, prior, hurry=True)
+
+    def _refine(
+        self, events: WindowEvents, steps: int, prior: MotionPrior | None, *, hurry: bool
+    ) -> str:
+        """Step at full resolution; before the last step check motion model and direction."""
+        fit = self._fit
+        stop = "iterations"
+        for k in range(steps):
+            last = k == steps - 1 or fit.step_px < _CONVERGED_PX
+            if not last and hurry and self._late():
+                stop, last = "deadline", True
+            fit.linearise(events, 1.0)
+            if last and self._reconsider(fit.free_flow(), prior):
+                fit.structure = None
+                for _ in range(_STEPS_AFTER_CHANGE):
+                    fit.linearise(events, 1.0)
+                    self._step(None)
+                    if hurry and self._late():
+                        stop = "deadline"
+                        break
+                break
+            self._step(prior)
+            if last:
+                break
+        return "converged" if fit.step_px < _CONVERGED_PX else stop
+
+    def _step(self, prior: MotionPrior | None) -> None:
+        if self._selector.model is MotionModel.ROTATION:
+            self._fit.step_rotation()
+        else:
+            self._fit.step_coupled(prior)
+        self._iterations += 1
+
+    def _late(self) -> bool:
+        deadline = self.config.deadline_ms
+        return deadline > 0 and (time.perf_counter() - self._started) * 1e3 > deadline
+
+    def _reconsider(self, free: FreeFlow, prior: MotionPrior | None) -> bool:
+        """Check the free flow for another motion; return whether the fit must go on with it.
+
+        What earlier windows say of the direction counts against another one.
+        """
+        fit = self._fit
+        assert fit.motion is not None
+        self._free, epipolar = free, self._epipolar
+        middle, present = fit.motion.at(0.5)
+        sized = free.known is None
+        here = epipolar.score(present, *free.evidence, sized=sized)
+        others = epipolar.search(*free.evidence, sized=sized)
+        rotation = epipolar.rotation(*free.evidence, sized=sized)
+        if prior is not None:
+            # Trust earlier windows less if the motion puts part of the scene behind the camera.
+            trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
+            others = replace(others, size=others.size + trust * prior.surprise(others.v))
+        softness = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
+        best = int(others.cost.argmin())
+        rotates = self._selector.model is MotionModel.ROTATION  # v is then only a guess
+        margin = 0.0 if rotates else _SWITCH * here.residual[0]
+        switch = bool(others.cost[best] < here.cost[0] - margin)
+        if switch:
+            here = others.at(best)
+            present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
+            middle = here.w[0]
+        w = here.w[0]
+        self._reader.possible = PossibleMotions.weigh(
+            (middle, present), here, others, rotation, softness
+        )
+        if switch and not rotates:
+            fit.motion = Motion.constant(w, present)
+            self._selector = ModelSelector()
+        after = self._select(free, present, w)
+        if rotates and after is not MotionModel.ROTATION:
+            fit.motion = Motion.constant(w, present)
+        return (after is MotionModel.ROTATION) is not rotates or (switch and not rotates)
+
+    def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
+        before = self._selector.model
+        after = self._selector.update(self._epipolar, free, w, v)
+        if self.config.model != "auto":
+            after = self._selector.model = MotionModel(self.config.model)
+        agreement = self._selector.agreement
+        self._fit.front = float(np.sign(agreement)) if abs(agreement) > _ON_ONE_SIDE else 0.0
+        self._fit.straight = after is MotionModel.TRANSLATION
+        if after is MotionModel.ROTATION and before is not after:
+            self._fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
+        return after
+
+    def _gain(self, events: WindowEvents) -> float:
+        return contrast_gain(self._fit.contrasts[1.0], events, self._fit.flow)
+
+    def _shows_no_motion(self, events: WindowEvents, gain: float) -> bool:
+        """Tell whether the fit does not sharpen the events, or one spot is all that moves."""
+        fit, config = self._fit, self.config
+        if gain < config.min_contrast_gain:
+            return True
+        evidence = np.trace(fit.evidence, axis1=1, axis2=2)  # at each node, px^-2
+        return config.model == "auto" and is_confined(
+            self.lattice, fit.contrasts[1.0], events, fit.flow, evidence
+        )
+
+    def _result(self, window: Window, quality: Quality) -> Estimate:
+        """Remember the window that was fitted, and report it."""
+        fit, model = self._fit, self._selector.model
+        belief = self._reader.believe(window, self._free, model)
+        self._last = Memory.of(window, fit, None if model is MotionModel.ROTATION else belief)
+        if window.gyro is not None:
+            w, covariance = self._reader.rotation_of_events(self._free, model)
+            self._gyro.learn(w / window.duration, covariance / window.duration**2)
+        return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
+
+    def _quality(self, used: int, stop: str, gain: float, **further: Any) -> Quality:
+        return Quality(used, self._iterations, stop, gain, **further)
+
+    def _nothing(
+        self, window: Window, used: int, status: Status, gain: float = float("nan")
+    ) -> Estimate:
+        """Report a window without a confident estimate; the next one starts cold."""
+        self.reset()
+        if status is not Status.DIVERGED:
+            self._gyro.learn_at_rest()
+        quality = self._quality(used, str(status), gain)
+        middle = (window.t_start + window.t_end) // 2
+        return Estimate(
+            window.t_start, window.t_end, middle, status, quality, gyro=self._gyro.status
+        )

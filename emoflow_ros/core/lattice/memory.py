@@ -1,0 +1,111 @@
+"""What a window leaves to the next one: the warm start."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.geometry.camera_motion import basis
+from emoflow_ros.core.lattice.belief import Belief, MotionPrior, Structure
+from emoflow_ros.core.lattice.egomotion import Motion
+from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.types.events import NS_PER_S, Window
+
+# Shares of the flow's change in a window that may go on: the events decide.
+_EXTRAPOLATIONS = np.array([0.5, 0.0, 1.0, 1.5], np.float32)
+# A longer gap ends a warm start. Dropped windows are such gaps, and a cold start takes longer.
+_MAX_GAP_S = 0.9
+
+
+@dataclass(frozen=True)
+class Memory:
+    """The previous window, as far as it starts the next one.
+
+    Attributes:
+        t_start, t_end: the window, ns.
+        flow: (columns, rows, times, 2) px per window.
+        motion: the egomotion.
+        belief, structure: what is known of motion and scene, or None.
+    """
+
+    t_start: int
+    t_end: int
+    flow: NDArray[np.float32]
+    motion: Motion
+    belief: Belief | None
+    structure: Structure | None
+
+    @classmethod
+    def of(cls, window: Window, fit: LatticeFit, belief: Belief | None) -> "Memory":
+        """Take it from a fit; without a belief, as of a rotation, the scene is not known either.
+
+        Args:
+            window: its interval.
+            fit: of the window, with a motion.
+            belief: in the motion.
+        """
+        motion = fit.motion
+        assert motion is not None
+        structure = None
+        if belief is not None:
+            flow = fit.node_flow.mean(axis=1)
+            structure = Structure.observe(
+                fit.epipolar, flow, motion.at(0.5), fit.evidence, fit.structure
+            )
+        return cls(window.t_start, window.t_end, fit.flow, motion, belief, structure)
+
+    def reaches(self, window: Window) -> bool:
+        """Tell whether a window comes soon enough after this one to start from it."""
+        silence = window.t_start - self.t_end
+        return window.t_end >= self.t_end and silence <= _MAX_GAP_S * NS_PER_S
+
+    def flows(self, window: Window) -> list[NDArray[np.float32]]:
+        """Flows (columns, rows, times, 2) that a later window may show, for _EXTRAPOLATIONS."""
+        ratio, ahead = self._scale(window)
+        mean = self.flow.mean(axis=2, keepdims=True)
+        change = self.flow[:, :, -1:] - self.flow[:, :, :1]
+        times = self.flow.shape[2]
+        nodes = ((np.linspace(0, 1, times) - 0.5) * ratio + ahead).astype(np.float32)  # in windows
+        slopes = _EXTRAPOLATIONS[:, None, None, None, None] * change * nodes[:, None]
+        return list((mean + slopes) * np.float32(ratio))
+
+    def rotation(self, window: Window) -> NDArray[np.float64]:
+        """Angular velocity (3,) of this window, in rad per a later window."""
+        ratio, _ = self._scale(window)
+        return self.motion.at(0.5)[0] * ratio
+
+    def predict(self, fit: LatticeFit, window: Window) -> MotionPrior | None:
+        """Set motion and structure of a fit to what a later window is expected to show.
+
+        Returns:
+            What is known of the motion in the middle of that window, if anything.
+        """
+        ratio, ahead = self._scale(window)
+        mean = self.flow.mean(axis=2, keepdims=True)
+        w, v = self.motion.at(1.0)
+        fit.motion = Motion.constant(w * ratio, v, speed=ratio)
+        if fit.known is not None:
+            fit.motion = replace(fit.motion, w=fit.known.control_points())
+        config = fit.config
+        fit.structure = self.structure and self.structure.predict(
+            fit.lattice,
+            fit.epipolar,
+            mean.reshape(-1, 2).astype(np.float64),
+            ahead,
+            v,
+            config.depth_drift,
+        )
+        if self.belief is None:
+            return None
+        # Within this window the spline tells how w changes; before and after it w is held.
+        middle = float(np.clip(0.5 + ahead, 0.0, 1.0))
+        change = (basis(middle) - basis(0.5)) @ self.motion.w
+        seconds = (self.t_end - self.t_start) / NS_PER_S
+        belief = replace(self.belief, w=self.belief.w + change / seconds)
+        return MotionPrior.carried(belief, window, config.angular_drift, config.direction_drift)
+
+    def _scale(self, window: Window) -> tuple[float, float]:
+        """Length of a later window and way to its middle, both in lengths of this one."""
+        length = self.t_end - self.t_start
+        ahead = 0.5 * (window.t_start + window.t_end - self.t_start - self.t_end)
+        return (window.t_end - window.t_start) / length, ahead / length

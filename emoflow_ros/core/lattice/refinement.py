@@ -1,0 +1,118 @@
+"""The flow of a window fitted once more, now that its motion is known.
+
+A window alone shows motion and flow together, and errors of one go into the other. The memory of
+positions knows the motion better: with it a static point's flow has one unknown, its depth.
+"""
+
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS
+from emoflow_ros.core.lattice.belief import (
+    INFORMATION_EXCESS,
+    KnownRotation,
+    MotionPrior,
+    Structure,
+)
+from emoflow_ros.core.lattice.egomotion import Motion
+from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.lattice.window_events import WindowEvents
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_S
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+
+_STEPS = 3  # at full resolution
+_STIFFER = 10.0  # weight of the epipolar constraint over that of the first fit
+_TIMES = 9  # at which the motion is read
+_SPREAD = 0.5  # standard deviation of the distance from a node to points that count, in spacings
+_OWN_SD = 0.1  # of one point's depth, over the depth
+_LEAST = 1e-9  # variance of an angle or of an inverse depth, per window^2
+
+
+@dataclass(frozen=True)
+class Depths:
+    """Inverse depths that are known of points in the image.
+
+    Attributes:
+        points: (N, 2) px.
+        inverse_depth: (N,) travelled distances per second.
+    """
+
+    points: Array
+    inverse_depth: Array
+
+    def structure(self, nodes: Array, spacing: float, seconds: float) -> Structure:
+        """Spread them over nodes: certain where many points of one depth are near.
+
+        Args:
+            nodes: (M, 2) px.
+            spacing: between them, px.
+            seconds: length of the window.
+        """
+        squared = ((nodes[:, None] - self.points) ** 2).sum(axis=-1)
+        weight = np.exp(-0.5 * squared / (_SPREAD * spacing) ** 2)
+        rho = seconds * self.inverse_depth
+        number = weight.sum(axis=1)
+        mean, square = (weight @ value / np.maximum(number, 1e-9) for value in (rho, rho**2))
+        variance = np.maximum(square - mean**2, 0) + (_OWN_SD * mean) ** 2 + _LEAST
+        return Structure(mean, number / variance)
+
+
+def refined(
+    fit: LatticeFit, events: WindowEvents, estimate: Estimate, depths: Depths
+) -> F32 | None:
+    """Fit a flow again from where a fit is, which stays as it is.
+
+    Args:
+        fit: of the window, with a motion.
+        events: of the window.
+        estimate: of the window, with the motion that is known.
+        depths: of the scene, in the pixels of the fit.
+
+    Returns:
+        (columns, rows, times, 2) px per window; None if there is no best flow.
+    """
+    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+    assert estimate.motion is not None and fit.motion is not None
+    times = np.linspace(estimate.t_start, estimate.t_end, _TIMES).astype(np.int64)
+    w = seconds * np.array([estimate.motion.angular(int(t)) for t in times])
+    of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)
+    again = copy(fit)
+    again.known = KnownRotation.seen(w, of_w)
+    again.straight = False
+    again.config = replace(fit.config, dec_weight=_STIFFER * fit.config.dec_weight)
+    points = again.known.control_points()
+    prior = None
+    if estimate.translation_observable:
+        v = np.tile(estimate.linear, (CONTROL_POINTS, 1))
+        again.motion, again.front = Motion(points, v), 1.0
+        again.structure = depths.structure(again.lattice.pixels, again.config.spacing_px, seconds)
+        prior = _prior(w[_TIMES // 2], estimate, seconds)
+    else:
+        again.motion = replace(fit.motion, w=points)
+    try:
+        for _ in range(_STEPS):
+            again.linearise(events, 1.0)
+            if prior is None:
+                again.step_rotation()
+            else:
+                again.step_coupled(prior)
+    except np.linalg.LinAlgError:
+        return None
+    return again.flow if np.isfinite(again.flow).all() else None
+
+
+def _prior(w: Array, estimate: Estimate, seconds: float) -> MotionPrior:
+    """What is known of (w, v) in the middle of the window."""
+    order = np.r_[3:6, 0:3]
+    covariance = estimate.covariance[np.ix_(order, order)].copy()
+    covariance[3:, 3:] += np.outer(estimate.linear, estimate.linear)
+    unit = np.repeat([seconds, 1.0], 3)
+    covariance = covariance * np.outer(unit, unit) + _LEAST * np.eye(6)
+    information = INFORMATION_EXCESS * np.linalg.inv(covariance)
+    return MotionPrior(np.concatenate([w, estimate.linear]), information)

@@ -1,0 +1,1 @@
+"""Numerics that know nothing of cameras: compilation, smoothing, band matrices."""

@@ -1,0 +1,278 @@
+"""The latest twist, from the newest events and the scene that the last window has shown.
+
+A window's estimate holds at its middle, and comes after its last event by the time that it takes to
+compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
+makes of it: that is six numbers (`known_scene`), for which a short slice of events is enough.
+The contrast of the slice's events and the window's estimate decide on w and v together. The
+estimate is carried on by the window's own change of w and a random walk, or by a gyro. How fast the
+image moves by the newest events bounds it (`gauge`): a camera that stops is at rest at once.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.gyro.checks import FreezeWatch
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.contrast import Contrast
+from emoflow_ros.core.lattice.egomotion import NodeEpipolar
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
+from emoflow_ros.core.lattice.uncertainty import without_translation
+from emoflow_ros.core.products.known_scene import KnownScene, inverse_depths, motion_covariance
+from emoflow_ros.core.products.motion_prior import Known
+from emoflow_ros.core.products.present_scene import MEAN_NS, SeenScene, measured
+from emoflow_ros.core.products.settings import STREAM
+from emoflow_ros.core.stream.cleaning import clean
+from emoflow_ros.core.types.estimate import (
+    Estimate,
+    FlowSampler,
+    PresentTwist,
+    SpeedBound,
+    Status,
+    Twist,
+    velocity_at,
+)
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.types.gyro import GyroReadings, GyroState
+
+Array = NDArray[np.float64]
+
+_LONGEST_NS = 600 * NS_PER_MS  # from the middle of the last window to now
+_EVENTS = 8_000  # are enough for six numbers
+_FEWEST_EVENTS = 300
+_STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
+# Largest age of the newest reading where the gyro alone tells the motion.
+_GYRO_FRESH_NS = 20 * NS_PER_MS
+# Variance of the change of w that was not predicted over its square: the scene has moved since, and
+# its depths are not exact.
+_CHANGE_ERROR = 0.2
+_NEWEST_NS = 20 * NS_PER_MS  # the newest part of a slice: it shows first that the camera stops
+# w over what the events allow, in standard deviations, that cannot be. The events' speed is known
+# within a factor of two.
+_TOO_FAST = 3.0
+_EXPECTED_DRIFT = 0.15  # of the configured one: what most recordings show
+_LEAST_SINCE_S = 0.01  # over which a change tells of the drift
+_LIVE_GAP = 0.025**2  # (rad/s)^2, variance of the gap where readings end at the mean's middle
+
+
+class PresentMotion:
+    """Estimates the latest twist between the estimates of windows.
+
+    It depends on the last estimate and on the slice's own events alone.
+
+    Args:
+        camera: with its lens.
+        config: of the estimator of the windows.
+    """
+
+    def __init__(self, camera: Camera, config: LatticeConfig) -> None:
+        self._config = replace(config, min_events=_FEWEST_EVENTS, max_events=_EVENTS)
+        self._image = WorkingImage.of(camera)
+        self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
+        self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
+        self._contrasts = {scale: Contrast(self._lattice, scale) for scale, _ in _STEPS}
+        self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
+        self._scene: SeenScene | None = None
+
+    def know(self, estimate: Estimate, gyro: GyroReadings | None = None) -> None:
+        """Take a window's estimate. After one that cannot be used there is no latest twist.
+
+        Args:
+            estimate: of the window.
+            gyro: its readings.
+        """
+        self._scene = None
+        if estimate.told:
+            self._scene = self._see(estimate, gyro)
+
+    def estimate(self, window: Window) -> PresentTwist | None:
+        """Estimate the motion at the end of a slice of events.
+
+        After a window without a flow, and with too few events for a fit, the gyro carries the
+        motion on, or a random walk does.
+
+        Args:
+            window: the newest SLICE_MS of the events. Where fast motion has made the estimate's
+                window shorter, only so much of it is fitted.
+
+        Returns:
+            None without a motion of the last 600 ms to start from.
+        """
+        scene = self._scene
+        if scene is None or not scene.t < window.t_end <= scene.valid_until:
+            return None
+        seen = clean(window, self._image.sensor)
+        part = seen.since(window.t_end - scene.length_ns)
+        middle = (part.t_start + part.t_end) // 2
+        gyro = None if _is_frozen(window) else window.gyro
+        by_gyro = scene.change_by_gyro(gyro, middle)
+        if scene.known is None and not _is_fresh(window):
+            by_gyro = None
+        drift, expected = self._drift.copy(), np.zeros(6)
+        since = max(0, middle - scene.t) / NS_PER_S
+        if by_gyro is None:
+            expected[:3], variance = scene.predicted_change(middle), 0.0
+        else:
+            expected[:3], variance = by_gyro
+            drift[:3] = 0.0
+        covariance = scene.covariance + np.diag(drift * since)
+        covariance[:3, :3] += variance * np.eye(3)
+        change = expected.copy()
+        free = 6 if scene.translates else 3
+        fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
+        if fitted:  # the slice shows the change since; what the window took for either motion stays
+            covariance[:free, :free] += scene.covariance[:free, :free]
+        at_end = scene.change_by_gyro(gyro, window.t_end)
+        if by_gyro is not None and at_end is not None:
+            change[:3] += at_end[0] - by_gyro[0]
+            late = max(0.0, at_end[1] - by_gyro[1] - _LIVE_GAP)  # of readings that end before now
+            covariance[:3, :3] += late * np.eye(3)
+        elif fitted or by_gyro is not None:
+            surprise = change[:3] - expected[:3]
+            unforeseen = change[:3] - scene.predicted_change(middle)
+            change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
+            drift[:3] = _drift_by(self._drift[0], unforeseen, max(since, _LEAST_SINCE_S))
+            covariance[:3, :3] += _CHANGE_ERROR * float(surprise @ surprise) / 3 * np.eye(3)
+        else:
+            change[:3] = scene.predicted_change(window.t_end)
+        covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
+        found = _read(window.t_end, scene, change, covariance)
+        if found is None:
+            return None
+        own = scene.measured and (fitted or scene.known is None)
+        return _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
+
+    def _fit(
+        self, known: KnownScene, part: Window, change: Array, covariance: Array, free: int
+    ) -> bool:
+        """Fit the first `free` numbers of the change (6,) to events; False if that cannot be done.
+
+        The change as predicted and its covariance (6, 6) are replaced by those that follow.
+        """
+        events = prepare(part, self._image, self._config)
+        if events is None:
+            return False
+        try:
+            prior = change[:free].copy(), np.linalg.inv(covariance[:free, :free])
+            change[:free], information = known.fit(
+                self._contrasts, _STEPS, events, part.duration, prior
+            )
+            covariance[:free, :free] = np.linalg.inv(information)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> SeenScene:
+        motion, length = estimate.motion, estimate.t_end - estimate.t_start
+        assert motion is not None
+        own = estimate.status is Status.OK
+        t = max(estimate.t, estimate.t_end - MEAN_NS) if own else estimate.t
+        w, v = motion.angular(t), motion.linear(t)
+        change = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
+        known = None if estimate.flow is None else self._shown(estimate.flow, t, w, v)
+        used = estimate.gyro.state is GyroState.USED
+        return SeenScene(
+            t=t,
+            valid_until=estimate.t + _LONGEST_NS,
+            length_ns=length,
+            motion=np.concatenate([w, v]),
+            angular_acceleration=change * (NS_PER_S / length),
+            covariance=motion_covariance(estimate, v),
+            known=known,
+            translates=estimate.translation_observable,
+            gyro=measured(gyro, t) if used else None,
+            bound=estimate.bound,
+            measured=own,
+        )
+
+    def _shown(self, flow: FlowSampler, t: int, w: Array, v: Array) -> KnownScene:
+        """Take the scene from a flow and the motion (w, v) at time t, ns."""
+        epipolar, image = self._epipolar, self._image
+        points = self._lattice.pixels * image.sensor_px
+        rate = velocity_at(flow, points, t) / image.sensor_px
+        return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
+
+
+def _drift_by(configured: float, unforeseen: Array, seconds: float) -> float:
+    """Drift of w, (rad/s)^2 per second, by what its change in the last `seconds` was off by.
+
+    "Off" is the change (3,) less that which the window predicts.
+    The mean of an expected value, which counts as much as one such change, and the change's own: a
+    camera that shakes goes on shaking, and a calm one stays calm.
+    """
+    expected = _EXPECTED_DRIFT**2 * configured
+    return 0.5 * (expected + float(unforeseen @ unforeseen) / (3 * seconds))
+
+
+def _is_frozen(window: Window) -> bool:
+    """Tell whether the gyro of a slice repeats its last reading, which tells nothing."""
+    if window.gyro is None:
+        return False
+    watch = FreezeWatch()
+    watch.take(window.gyro.covering(window.t_start, window.t_end, 0))
+    return watch.until is not None
+
+
+def _is_fresh(window: Window) -> bool:
+    """Tell whether the gyro was read lately enough to carry the motion on alone."""
+    if window.gyro is None:
+        return False
+    readings = window.gyro.covering(window.t_start, window.t_end, 0)
+    return len(readings) > 0 and window.t_end - int(readings.t[-1]) <= _GYRO_FRESH_NS
+
+
+def _held(
+    bound: SpeedBound | None, seen: Window, found: PresentTwist, *, measured: bool, by_gyro: bool
+) -> PresentTwist:
+    """Hold a motion against how fast the newest events let the image move.
+
+    What was not measured is held against it always. A motion that was measured is by far faster
+    than the events only where the camera has stopped, or slowed down, since.
+
+    Args:
+        bound: of the speed, or None.
+        seen: the newest events.
+        found: the motion.
+        measured: whether events told it.
+        by_gyro: whether a gyro told its w, which is left alone.
+    """
+    if bound is None:
+        return found
+    parts = (seen, seen.since(seen.t_end - _NEWEST_NS))
+    speeds = [speed for speed in map(bound.speed, parts) if speed is not None]
+    if not speeds:
+        return found
+    speed, twist = min(speeds), found.twist
+    of_rest = bound.rotation_covariance(speed)
+    motion = Known(twist.t, twist.linear, twist.angular, found.covariance)
+    too_fast = float(twist.angular @ np.linalg.solve(of_rest, twist.angular)) > _TOO_FAST**2
+    if not by_gyro and (too_fast or not measured):
+        if measured:  # all of it may be of before
+            covariance = motion.covariance.copy()
+            covariance[3:, 3:] += np.outer(twist.angular, twist.angular)
+            motion = replace(motion, covariance=covariance)
+        motion = motion.held_against(of_rest)
+    if speed <= STREAM.rest_px_s:
+        covariance = bound.rest_covariance(speed)
+        covariance[3:, 3:] = motion.covariance[3:, 3:]
+        motion = Known(twist.t, np.zeros(3), motion.angular, covariance)
+    return PresentTwist(Twist(twist.t, motion.linear, motion.angular), motion.covariance)
+
+
+def _read(t: int, scene: SeenScene, change: Array, covariance: Array) -> PresentTwist | None:
+    w, v = np.split(scene.motion + change, 2)
+    length = float(np.linalg.norm(v))
+    direction = v / length if scene.translates and length > 0 else np.zeros(3)
+    across = np.eye(6)
+    if scene.translates and length > 0:
+        across[3:, 3:] = (np.eye(3) - np.outer(direction, direction)) / length
+    order = np.r_[3:6, 0:3]
+    of_twist = (across @ covariance @ across.T)[np.ix_(order, order)]
+    if not scene.translates:
+        of_twist = without_translation(of_twist)
+    if not (np.isfinite(w).all() and np.isfinite(of_twist).all()):
+        return None
+    return PresentTwist(Twist(t, direction, w), 0.5 * (of_twist + of_twist.T))

@@ -1,0 +1,1 @@
+"""What passes between the parts: events and windows, readings of a gyro, estimates, options."""

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from emoflow_ros.config import load_config
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import GREVILLE
+from emoflow_ros.core.lattice.belief import INFORMATION_EXCESS, Belief, Structure
+from emoflow_ros.core.lattice.constraints import add_constraint, add_structure
+from emoflow_ros.core.lattice.egomotion import BY_POINTS, MOTION_UNKNOWNS, Motion, NodeEpipolar
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.lattice.memory import Memory
+from emoflow_ros.core.lattice.normal_equations import NormalEquations
+from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
+
+CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
+LATTICE = Lattice.with_spacing(346, 260, 26.0)
+NODES = LATTICE.columns * LATTICE.rows
+V = np.array([0.8, 0.0, 0.6])
+
+
+@pytest.fixture
+def fit() -> LatticeFit:
+    """A scene at one depth that passes along V, but for every tenth node."""
+    config = load_config("realtime").estimator
+    epipolar = NodeEpipolar(CAMERA, LATTICE, config.dec_inlier_px)
+    made = LatticeFit(LATTICE, epipolar, config)
+    flow = 0.05 * (epipolar.a @ V)
+    flow[::10] *= -1
+    made.flow = np.repeat(flow[:, None], LATTICE.times, 1).reshape(LATTICE.shape).astype(np.float32)
+    made.motion = Motion.constant(np.zeros(3), V)
+    return made
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_coupled_step_solves_for_the_constraint_and_the_known_depths(fit, monkeypatch, known):
+    fit.front = 1.0
+    if known:
+        fit.structure = Structure(np.full(NODES, 0.04), np.linspace(0, 40, NODES))
+    epipolar, config, motion = fit.epipolar, fit.config, fit.motion
+    expected = NormalEquations(LATTICE, len(BY_POINTS))
+    at = epipolar.kernel_arguments(fit.node_flow, motion)
+    add_constraint(
+        *at, epipolar.usable, config.dec_inlier_px, config.dec_weight, 1.0, *expected.parts
+    )
+    if known:
+        add_structure(
+            *at, epipolar.usable, V, 1.0, np.full(NODES, 0.04), np.linspace(0, 40, NODES),
+            0.3 * INFORMATION_EXCESS / LATTICE.times, *expected.parts,
+        )  # fmt: skip
+    seen = []
+
+    def solve(self, *_):
+        seen.extend(part.copy() for part in self.parts)
+        return np.zeros(LATTICE.unknowns), np.zeros(MOTION_UNKNOWNS)
+
+    monkeypatch.setattr(NormalEquations, "solve_bordered", solve)
+    fit.step_coupled(None)
+    for one, other in zip(seen, expected.parts, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("begin_ms", "length_ms", "turned"),
+    [
+        (0, 100, 0.0),
+        (25, 100, 0.5),
+        (50, 100, 1.0),
+        (400, 100, 1.0),
+        (70, 30, 0.7),
+        (-40, 100, -0.8),
+        (-200, 300, -1.0),
+    ],
+)
+def test_a_window_expects_the_rotation_of_the_last_spline_in_its_middle(
+    fit, begin_ms, length_ms, turned
+):
+    """At most that of the last window's end: 5 deg/s more than in its middle."""
+    w, more = np.array([0.3, -0.1, 0.2]), np.radians([5.0, -2.0, 1.0])
+    points = 0.1 * (w + np.outer(2 * GREVILLE - 1, more))  # of 0.1 s
+    still = np.zeros(LATTICE.shape, np.float32)
+    motion = Motion(points, np.tile(V, (4, 1)))
+    last = Memory(0, 100 * NS_PER_MS, still, motion, Belief.of(0, w, V, np.eye(6)), None)
+    begin = begin_ms * NS_PER_MS
+    prior = last.predict(fit, Window(begin, begin + length_ms * NS_PER_MS, Events.empty()))
+    assert prior is not None
+    np.testing.assert_allclose(prior.mean[:3], length_ms / 1000 * (w + turned * more), rtol=1e-9)
+    np.testing.assert_allclose(prior.mean[3:], V)

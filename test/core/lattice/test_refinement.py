@@ -1,0 +1,118 @@
+"""The flow fitted again with a known motion: nearer to the truth, and the fit stays as it is."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from emoflow_ros.config import load_config
+from emoflow_ros.core.back_end.scene import motion_field
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.types.estimate import Estimate, MotionModel
+from emoflow_ros.core.types.events import Window, WindowSlicer
+from emoflow_ros.simulation.recording import SimulatedRecording, simulate
+
+CONFIG = load_config()
+NONE = Depths(np.zeros((0, 2)), np.zeros(0))
+SURE = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])  # of (v, w)
+
+
+@dataclass(frozen=True)
+class Known:
+    """The true motion (a Motion)."""
+
+    recording: SimulatedRecording
+
+    def angular(self, t: int) -> np.ndarray:
+        return self.recording.truth.twist(t)[1]
+
+    def linear(self, t: int) -> np.ndarray:
+        v = self.recording.truth.twist(t)[0]
+        return v / max(float(np.linalg.norm(v)), 1e-9)
+
+
+def windows_of(scene: str) -> tuple[SimulatedRecording, list[Window]]:
+    recording = simulate(scene, duration_s=0.6, seed=4, fps=500)
+    return recording, WindowSlicer(CONFIG.window).push(recording.events)
+
+
+def told(recording: SimulatedRecording, found: Estimate) -> Estimate:
+    motion = Known(recording)
+    linear = motion.linear(found.t)
+    across = SURE.copy()
+    across[:3, :3] = 1e-4 * (np.eye(3) - np.outer(linear, linear))
+    angular = motion.angular(found.t)
+    return replace(
+        found,
+        model=MotionModel.FULL,
+        linear=linear,
+        angular=angular,
+        covariance=across,
+        motion=motion,
+    )
+
+
+def error(recording: SimulatedRecording, estimate: Estimate) -> float:
+    assert estimate.flow is not None
+    apart = estimate.flow.velocity(estimate.t) - recording.truth.flow(estimate.t)
+    return float(np.nanmean(np.linalg.norm(apart, axis=-1)))
+
+
+@pytest.mark.parametrize("scene", ["calm", "forward"])
+def test_with_the_true_motion_the_flow_comes_nearer_to_the_truth(scene):
+    recording, windows = windows_of(scene)
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    before, after = [], []
+    for window in windows:
+        found = estimator.estimate(window)
+        flow = estimator._fit.flow
+        again = estimator.refined(told(recording, found), NONE)
+        assert estimator._fit.flow is flow
+        before.append(error(recording, found))
+        after.append(error(recording, again))
+    assert np.mean(after[2:]) < 0.96 * np.mean(before[2:])
+
+
+def test_a_flow_that_cannot_be_fitted_stays_as_it_was():
+    recording, windows = windows_of("calm")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    found = estimator.estimate(windows[0])
+    lost = told(recording, found)
+    lost = replace(lost, covariance=np.full((6, 6), np.nan))
+    assert estimator.refined(lost, NONE).flow is found.flow
+
+
+def true_depths(recording: SimulatedRecording, t: int) -> Depths:
+    """Depths at some pixels, by the true flow: what rotation leaves of it, over the matrix A v."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(10, np.array(recording.camera.size) - 10, (200, 2)).round()
+    flow = recording.truth.flow(t)[points[:, 1].astype(int), points[:, 0].astype(int)]
+    a, b = motion_field(recording.camera, points)
+    linear, angular = Known(recording).linear(t), Known(recording).angular(t)
+    line = a @ linear
+    rho = ((flow - b @ angular) * line).sum(axis=1) / (line**2).sum(axis=1)
+    known = np.isfinite(rho)
+    return Depths(points[known], rho[known])
+
+
+def test_depths_that_are_known_help():
+    recording, windows = windows_of("calm")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    without, with_them = [], []
+    for window in windows:
+        found = told(recording, estimator.estimate(window))
+        depths = true_depths(recording, found.t)
+        without.append(error(recording, estimator.refined(found, NONE)))
+        with_them.append(error(recording, estimator.refined(found, depths)))
+    assert np.mean(with_them[2:]) < 0.9 * np.mean(without[2:])
+
+
+def test_depths_are_certain_where_points_agree():
+    nodes = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0]])
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [99.0, 0.0], [101.0, 0.0]])
+    structure = Depths(points, np.array([2.0, 2.0, 1.0, 3.0])).structure(nodes, 20.0, 0.5)
+    assert structure.inverse_depth[:2] == pytest.approx([1.0, 1.0])
+    assert structure.information[0] == pytest.approx(2 / 0.1**2, rel=0.01)
+    assert structure.information[1] == pytest.approx(2 / (0.5**2 + 0.1**2), rel=0.01)
+    assert structure.information[2] == pytest.approx(0.0)

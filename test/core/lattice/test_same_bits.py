@@ -1,0 +1,112 @@
+"""Estimates have the same bits in every process, whether it compiles, loads or unpickles.
+
+Functions that call several kernels bring copies of them along; see `contrast._load_kernels`.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+SCRIPT = """
+import hashlib
+import pickle
+import sys
+from pathlib import Path
+
+import numpy as np
+from emoflow_ros.core.lattice import derivatives, kernels
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.config import load_config
+from emoflow_ros.core.lattice.contrast import STIFFNESS_STRIDE, TAPS, Contrast
+from emoflow_ros.core.types.events import Events, Window
+from emoflow_ros.factory import make_estimator
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.numerics.smoothing import outwards, smooth
+from emoflow_ros.core.lattice.window_events import PARTS, WindowEvents
+import emoflow_ros.evaluation.run_progress  # how checkpoints pickle what is in an estimator
+
+kept = Path(sys.argv[2])
+size, length, middle = 30_000, 90_000_000, np.array([173.0, 130.0])
+
+
+def window(k):  # dots that turn about the optical axis in windows 0 and 1, then move sideways
+    rng = np.random.default_rng(k)
+    dots = np.random.default_rng(99).uniform((20, 20), (326, 240), (2000, 2)) - middle
+    of, t = rng.integers(0, 2000, size), np.sort(rng.integers(0, length, size))
+    if k < 2:
+        angle = 0.1 * (k + t / length)
+        x, y = dots[of].T
+        moved = np.stack([x * np.cos(angle) - y * np.sin(angle),
+                          x * np.sin(angle) + y * np.cos(angle)], axis=1)
+    else:
+        near = 1 + of % 3
+        moved = dots[of] - np.outer((k - 2 + t / length) * near, (4, 1))
+    x, y = np.clip(moved + middle, 0, (345, 259)).astype(np.uint16).T
+    events = Events(x.copy(), y.copy(), t + k * length, of < 1000)
+    return Window(k * length, (k + 1) * length, events)
+
+
+lattice = Lattice.with_spacing(240, 180, 26.0)
+if sys.argv[1] == "unpickle":
+    estimator, contrast = pickle.loads(kept.read_bytes())
+else:
+    camera = Camera(346, 260, 200.0, 200.0, 173.0, 130.0)
+    estimator, contrast = make_estimator(camera, load_config("realtime")), Contrast(lattice, 0.5)
+    models = [estimator.estimate(window(k)).model for k in range(2)]
+    assert models == ["rotation", "rotation"], models
+    kept.write_bytes(pickle.dumps((estimator, contrast)))
+if sys.argv[1] != "compile":
+    assert not derivatives.linearise.stats.cache_misses
+
+digest = hashlib.sha256()
+models = []
+for k in range(2, 9):
+    found = estimator.estimate(window(k))
+    models.append(found.model)
+    quality = found.quality
+    numbers = np.float64([quality.contrast_gain, quality.residual_px, quality.inlier_fraction])
+    for value in (found.flow.values, found.angular, found.linear, found.covariance, numbers):
+        digest.update(np.ascontiguousarray(value))
+assert models[-1] == "full", models
+
+rng = np.random.default_rng(0)
+x, y, s = rng.random((3, size)).astype(np.float32)
+events = WindowEvents(239 * x, 179 * y, np.sort(s), np.float32(rng.normal(size=size)))
+flow = np.float32(rng.normal(scale=5, size=lattice.shape))
+digest.update(np.float64(contrast.sharpen(events, flow)))
+digest.update(contrast.image)
+digest.update(contrast.scores(events, np.float32([(0, 0), (3.5, -2.25)])))
+cells = contrast.linearise(events, flow)
+for part in cells:
+    digest.update(part)
+
+here, position = events.on(lattice), np.empty((2, len(events)), np.float32)
+images, by_hand = np.empty_like(contrast._parts), [np.empty_like(part) for part in cells]
+kernels.warp(here, 0.5, flow, lattice.acceleration(flow), position)
+kernels.vote(position, here.weights, here.part, contrast._zoom, images)
+smooth(images, outwards(np.convolve(TAPS, TAPS)))
+kernels.without_own(images)
+drawn, pairs = (here, 0.5, position, images, contrast._zoom), PARTS / (PARTS - 1)
+slope = contrast._zoom**2 * pairs
+derivatives.pull(*drawn, slope, by_hand[0])
+derivatives.stiffen(*drawn, STIFFNESS_STRIDE, slope * pairs, by_hand[1])
+assert np.array_equal(contrast._parts, images)
+for one, other in zip(cells, by_hand):
+    assert np.array_equal(one, other)
+print(digest.hexdigest())
+"""
+
+
+def run(how: str, kept: Path, environment: dict[str, str]) -> str:
+    command = [sys.executable, "-c", SCRIPT, how, str(kept)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_processes_that_compile_load_and_unpickle(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    kept = tmp_path / "estimator.pickle"
+    digests = {run(how, kept, environment) for how in ("compile", "load", "unpickle")}
+    assert len(digests) == 1

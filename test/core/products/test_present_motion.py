@@ -1,0 +1,149 @@
+"""The latest twist on simulated recordings, whose motion is known at every instant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from present_runs import LATE_NS, SLICE_NS, degrees, last, run
+
+from emoflow_ros.core.geometry.camera_motion import SplineMotion
+from emoflow_ros.core.stream.thinning import spread
+from emoflow_ros.core.types.estimate import MotionModel, Status
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
+
+STEP_NS = 20 * NS_PER_MS
+
+
+def test_it_follows_a_motion_that_changes_where_the_last_window_does_not() -> None:
+    its, present = run("agile"), run("agile").present()
+    errors, held, squares = [], [], []
+    for estimate in its.estimates[4:]:
+        present.know(estimate)
+        for k in range(3):
+            t = estimate.t_end + LATE_NS + k * STEP_NS
+            found = present.estimate(its.slice(t))
+            if found is None:
+                continue
+            error = found.twist.angular - its.angular(t)
+            errors.append(degrees(error))
+            held.append(degrees(estimate.angular - its.angular(t)))
+            squares.append(error @ np.linalg.solve(found.covariance[3:, 3:], error) / 3)
+    assert len(errors) > 30
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(held)))
+    assert 0.3 < np.mean(squares) < 3
+
+
+def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
+    """A fifth of its square, a third of it along each axis, and the drift by it."""
+    its, estimate = last("agile")
+    present = its.present()
+    present.know(estimate)
+    t = estimate.t_end + LATE_NS
+    found = present.estimate(its.slice(t))
+    assert found is not None and estimate.motion is not None
+    angular, end = estimate.motion.angular, estimate.t_end - 5 * NS_PER_MS
+    slope = (angular(estimate.t_end) - angular(estimate.t_start)) / (
+        (estimate.t_end - estimate.t_start) / NS_PER_S
+    )
+    told = angular(end) + slope * 0.06 * (1 - np.exp(-(t - end) / (0.06 * NS_PER_S)))
+    change = found.twist.angular - told
+    seconds = (t - SLICE_NS // 2 - end) / NS_PER_S
+    expected = 0.2 * change @ change / 3 + 0.5 * change @ change / (3 * seconds) * 0.03
+    assert np.diag(found.covariance)[3:].min() > expected
+    assert expected > np.radians(1) ** 2
+
+
+def test_the_same_slice_and_window_give_the_same_bits() -> None:
+    its, estimate = last("agile")
+    found = []
+    for before in (its.estimates[0], its.estimates[5]):
+        present = its.present()
+        present.know(before)
+        present.estimate(its.slice(before.t_end + LATE_NS))
+        present.know(estimate)
+        found.append(present.estimate(its.slice(estimate.t_end + LATE_NS)))
+    assert found[0] is not None and found[1] is not None
+    np.testing.assert_array_equal(found[0].twist.angular, found[1].twist.angular)
+    np.testing.assert_array_equal(found[0].covariance, found[1].covariance)
+
+
+def test_direction_has_unit_length_and_no_variance_along_itself() -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    found = present.estimate(its.slice(estimate.t_end + LATE_NS))
+    assert found is not None
+    v = found.twist.linear
+    assert np.linalg.norm(v) == pytest.approx(1.0)
+    assert v @ estimate.linear > np.cos(np.radians(30))
+    assert abs(v @ found.covariance[:3, :3] @ v) < 1e-9
+    assert np.linalg.eigvalsh(found.covariance).min() > -1e-9
+
+
+def test_without_a_direction_of_travel_only_the_rotation_is_told() -> None:
+    its, estimate = last("calm")
+    covariance = np.zeros((6, 6))
+    covariance[0, 0], covariance[3:, 3:] = -1.0, estimate.covariance[3:, 3:]
+    turning = replace(
+        estimate, model=MotionModel.ROTATION, linear=np.zeros(3), covariance=covariance
+    )
+    present = its.present()
+    present.know(turning)
+    found = present.estimate(its.slice(estimate.t_end + LATE_NS))
+    assert found is not None
+    np.testing.assert_array_equal(found.twist.linear, np.zeros(3))
+    assert found.covariance[0, 0] == -1.0
+    np.testing.assert_array_equal(found.covariance[:3, 3:], np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize("status", [s for s in Status if not s.told])
+def test_after_a_window_without_an_estimate_there_is_no_latest_twist(status: Status) -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    present.know(replace(estimate, status=status))
+    assert present.estimate(its.slice(estimate.t_end + LATE_NS)) is None
+
+
+def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
+    its = run("agile")
+    estimate = next(e for e in its.estimates if e.translation_observable)
+    present = its.present()
+    present.know(estimate)
+    after_ms = [present.estimate(its.slice(estimate.t + ms * NS_PER_MS)) for ms in (0, 599, 601)]
+    assert [found is not None for found in after_ms] == [False, True, False]
+
+
+def test_where_few_events_come_the_motion_goes_on_as_a_random_walk() -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(replace(estimate, bound=None))
+    window = its.slice(estimate.t_end + LATE_NS)
+    more, few = (replace(window, events=spread(window.events, n)) for n in (3_000, 250))
+    fitted, carried = present.estimate(more), present.estimate(few)
+    scene = present._scene
+    assert fitted is not None and carried is not None and scene is not None
+    expected = scene.motion[:3] + scene.predicted_change(window.t_end)
+    np.testing.assert_allclose(carried.twist.angular, expected)
+    drift = np.radians(60.0) ** 2 * (window.t_end - scene.t) / NS_PER_S
+    grown = np.diag(carried.covariance - estimate.covariance)[3:]
+    np.testing.assert_allclose(grown, drift, rtol=1e-9)
+    assert np.trace(fitted.covariance[3:, 3:]) < np.trace(carried.covariance[3:, 3:])
+
+
+def test_a_window_of_few_milliseconds_tells_of_its_middle_and_little_of_the_time_after_it() -> None:
+    """Its motion is not asked for outside it, and its change does not go on for 60 ms."""
+    its, estimate = last("calm")
+    t_end, length = estimate.t_end, 4 * NS_PER_MS
+    points = np.outer(np.arange(-1.0, 3.0), [0.08, 0.0, 0.0])  # w_x = 0.08 s
+    motion = SplineMotion(t_end - length, t_end, points, np.tile(estimate.linear, (4, 1)))
+    present = its.present()
+    middle = t_end - length // 2
+    present.know(replace(estimate, t_start=t_end - length, t=middle, motion=motion))
+    scene = present._scene
+    assert scene is not None and scene.t == middle
+    np.testing.assert_allclose(scene.motion[:3], [0.04, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(scene.angular_acceleration, [20.0, 0, 0])
+    after_1_ms, late = (scene.predicted_change(middle + ms * NS_PER_MS)[0] for ms in (1, 60))
+    assert after_1_ms == pytest.approx(20 * 0.004 * (1 - np.exp(-1 / 4)))
+    assert late == pytest.approx(20 * 0.004, rel=1e-6)
