@@ -97,9 +97,8 @@ def _end_all_where_it_failed(event: Any, context: Any) -> None:
 
 def _parameters(value: dict[str, str]) -> list[Any]:
     """List the sources of parameters: later ones count before earlier ones."""
-    from emoflow_ros.core.geometry.calibration import load_calibration
-
     from emoflow_ros.config import load_config
+    from emoflow_ros.core.geometry.calibration import load_calibration
     from emoflow_ros.node.calibration_url import calibration_path
     from emoflow_ros.node.ros_arguments import flag, number, parameter_file
 

@@ -1,4 +1,4 @@
-"""The numbers that tune the gyro and the stream are in one table for each."""
+"""The numbers that tune gyro, lattice and stream are in one table for each."""
 
 import ast
 from dataclasses import FrozenInstanceError, fields
@@ -8,6 +8,7 @@ import pytest
 
 import emoflow_ros.core
 from emoflow_ros.core.gyro.settings import GYRO, GyroSettings
+from emoflow_ros.core.lattice.settings import LATTICE, LatticeSettings
 from emoflow_ros.core.products.settings import STREAM, StreamSettings
 
 FOLDER = Path(emoflow_ros.core.__file__).parent
@@ -16,6 +17,11 @@ OF_FORM = {
     "gyro/checks": {"UNLIKELY_6", "UNLIKELY_3", "_DEG", "AXES"},
     "gyro/clock": {"_REACH_NS", "Times"},
     "gyro/measurement": set(),
+    "lattice/belief": {"INFORMATION_EXCESS", "_MEAN", "_SLOPE"},
+    "lattice/confinement": {"_FEWEST_NODES"},
+    "lattice/estimator": set(),
+    "lattice/selection": set(),
+    "lattice/uncertainty": set(),
     "products/continuous": {"BRIGHTNESS"},
     "products/gauge": {"_LEVER"},
     "products/motion_prior": set(),
@@ -32,7 +38,9 @@ def test_modules_hold_no_tuning_numbers_of_their_own(module):
     assert named == OF_FORM[module] | {"Array"}
 
 
-@pytest.mark.parametrize(("table", "kind"), [(GYRO, GyroSettings), (STREAM, StreamSettings)])
+@pytest.mark.parametrize(
+    ("table", "kind"), [(GYRO, GyroSettings), (LATTICE, LatticeSettings), (STREAM, StreamSettings)]
+)
 def test_a_table_is_frozen_and_tells_of_each_number(table, kind):
     for field in fields(kind):
         assert field.name in kind.__doc__

@@ -14,25 +14,18 @@ from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, GREVILLE
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.types.events import NS_PER_S, Window
 
 Array = NDArray[np.float64]
 
-# Information of the normal equations over the true information (measured, docs/method.md). It is
-# too large, because the errors of the events are not independent: many events come from one edge,
-# and the lattice smooths their errors into each other.
-INFORMATION_EXCESS = 10.0
+INFORMATION_EXCESS = LATTICE.information_excess
 
-_FLOW_ERROR_PX = 0.15  # systematic error of a node's flow, the same in many windows
-_MAX_APPROACH = 0.2  # approach, depths per window
 
 # Weights of the control points in the spline's coefficients of the first two Legendre polynomials,
 # as of a GyroMeasurement: its mean over the window, and half of the change of its best line.
 _MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
 _SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
-# Standard deviation, rad/s, that is added to half of the change as a gyro tells it: none is exact.
-_SLOPE_ERROR = 1e-3
-_OF_SLOPE = 0.3  # information on half of the change over that on the mean, of another estimate
 
 
 @dataclass(frozen=True)
@@ -190,14 +183,15 @@ class Structure:
             drift: relative change of depth that is expected anyway.
         """
         _, squared = _lines(epipolar, v)
-        error = (drift * self.inverse_depth) ** 2 + _FLOW_ERROR_PX**2 / squared
+        error = (drift * self.inverse_depth) ** 2 + LATTICE.flow_error_px**2 / squared
         certainty = 1 / (1 / np.maximum(self.information, 1e-9) + error)
         source = lattice.pixels - windows * flow
         certain = np.stack([certainty, certainty * self.inverse_depth], axis=-1)
         known, inverse_depth = lattice.interpolate(certain, source).T
         inverse_depth = inverse_depth / known
         # A scene that comes closer grows: Z' = Z - v_z.
-        approach = np.clip(windows * inverse_depth * v[2], -_MAX_APPROACH, _MAX_APPROACH)
+        most = LATTICE.most_approach
+        approach = np.clip(windows * inverse_depth * v[2], -most, most)
         inside = ((source >= 0) & (source <= lattice.pixels[-1])).all(axis=-1)
         return Structure(inverse_depth * (1 + approach), np.where(inside, known, 1e-9))
 
@@ -235,7 +229,7 @@ class KnownRotation:
         of_mean, of_slope = measurement.covariances[:2]
         information, slope_information = (
             INFORMATION_EXCESS * np.linalg.inv(covariance) / duration**2
-            for covariance in (of_mean, of_slope + _SLOPE_ERROR**2 * np.eye(3))
+            for covariance in (of_mean, of_slope + LATTICE.slope_error**2 * np.eye(3))
         )
         mean, slope = duration * measurement.coefficients[:2]
         bend = duration * measurement.middle - mean
@@ -256,7 +250,7 @@ class KnownRotation:
         slope = (weight * s) @ w / (weight @ s**2)
         information = INFORMATION_EXCESS * np.linalg.inv(covariance)
         bend = w[len(w) // 2] - mean
-        return cls(mean, information, slope, _OF_SLOPE * information, bend)
+        return cls(mean, information, slope, LATTICE.of_slope * information, bend)
 
     def control_points(self) -> Array:
         """Build the control points (4, 3) of mean and slope."""

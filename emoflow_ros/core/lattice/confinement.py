@@ -9,16 +9,12 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.contrast import Contrast, contrast_gain
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 
-_SMALL = 0.35  # share of the image up to which the evidence is one spot
 _FEWEST_NODES = 5  # along each side; on a coarser lattice everything is one spot
-_OUTSIDE = 2.5  # standard deviations of the evidence around its mean: beyond is elsewhere
-_LEAST_SIGMA_PX = 5.0
-_FEWEST_ELSEWHERE = 100  # events
-_SHARPER = 1.1  # contrast of the events elsewhere, warped, over that as they came; of noise about 1
 
 
 def is_confined(
@@ -35,14 +31,14 @@ def is_confined(
         evidence: (nodes,) how much the events say about the flow at each node.
     """
     middle, covariance = spot(lattice, evidence)
-    if not spread(lattice, covariance) < _SMALL:  # nor where it is not finite
+    if not spread(lattice, covariance) < LATTICE.one_spot:  # nor where it is not finite
         return False
-    inverse = np.linalg.inv(covariance + _LEAST_SIGMA_PX**2 * np.eye(2))
+    inverse = np.linalg.inv(covariance + LATTICE.least_sigma_px**2 * np.eye(2))
     away = np.stack([events.x, events.y], axis=-1) - middle
-    elsewhere = np.einsum("ni,ij,nj->n", away, inverse, away) > _OUTSIDE**2
-    if np.count_nonzero(elsewhere) < _FEWEST_ELSEWHERE:
+    elsewhere = np.einsum("ni,ij,nj->n", away, inverse, away) > LATTICE.elsewhere**2
+    if np.count_nonzero(elsewhere) < LATTICE.fewest_elsewhere:
         return True
-    return contrast_gain(contrast, events.at(elsewhere), flow) < _SHARPER
+    return contrast_gain(contrast, events.at(elsewhere), flow) < LATTICE.sharper
 
 
 def spot(lattice: Lattice, evidence: Array) -> tuple[Array, Array]:

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.normal_equations import add_rows
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.numerics.jit import njit
 
 F64 = NDArray[np.float64]
 
-_STRUCTURE_INLIER_PX = 1.0
+_STRUCTURE_INLIER_PX = LATTICE.structure_inlier_px  # numba reads no fields
 
 # Sums may be taken in any order, so that they become vector instructions.
 _compiler = partial(njit, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)

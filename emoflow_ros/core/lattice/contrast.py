@@ -18,18 +18,17 @@ from numpy.typing import NDArray
 from emoflow_ros.core.lattice import derivatives, kernels
 from emoflow_ros.core.lattice.cells import Cells
 from emoflow_ros.core.lattice.field import TIMES, Lattice
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import PARTS, WindowEvents
 from emoflow_ros.core.numerics.smoothing import outwards, smooth
 
 _ROUNDING = 1e-6  # a contrast below this share of another one is float32's rounding of zero
-# Pixels of an image of warped events per pixel of the working image, at full resolution. With 1
-# events that have not moved lie exactly upon each other, and look sharper than they are.
-SAMPLING = 0.6
+SAMPLING = LATTICE.sampling
 # Taps that smooth the image. Bilinear votes have blurred it by a variance of 1/6 already. Both
 # together blur like votes and a Gaussian of one pixel in an image of the sensor's pixels.
 _SIDE = (SAMPLING**2 * (1 + 1 / 6) - 1 / 6) / 2
 TAPS = np.array([_SIDE, 1 - 2 * _SIDE, _SIDE], np.float32)
-STIFFNESS_STRIDE = 4  # events per event whose stiffness is computed: it is costly, and a mean
+STIFFNESS_STRIDE = LATTICE.stiffness_stride
 
 F32 = NDArray[np.float32]
 

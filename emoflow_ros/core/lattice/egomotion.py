@@ -16,16 +16,11 @@ from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, basis, motion_matrices
 from emoflow_ros.core.lattice import constraints, rotations
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import Explanations
 
 Array = NDArray[np.float64]
 
-_DIRECTIONS = 80  # of v over the hemisphere, about 16 degrees apart
-_REWEIGHTINGS = 4
-
-# How much likelier a motion of less flow is (docs/method.md): independent depths per node, and the
-# power of |w| that the probability of a rotation falls with.
-_DEPTHS, _ROTATIONS = 0.02, 1.0
 
 # (3,) rad per window and its information (3, 3)
 type Rotation = tuple[Array, Array]
@@ -130,7 +125,7 @@ class NodeEpipolar:
         # Near the focus of expansion the line's direction is undefined: fade it out there.
         self.px_per_rad = float(np.sqrt(camera.fx * camera.fy))
         self.soft = 1e-3 * self.px_per_rad
-        self._directions = _hemisphere(_DIRECTIONS)
+        self._directions = _hemisphere(LATTICE.directions)
         self._lines = self._line_fields(self._directions)
 
     def robust_weight(self, r: Array) -> Array:
@@ -204,9 +199,10 @@ class NodeEpipolar:
         """Explain a flow by the pure rotation that leaves least of it, as `search`."""
         w, residual = rotations.best_rotation(
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
-            2 * _REWEIGHTINGS, *known,
+            2 * LATTICE.reweightings, *known,
         )  # fmt: skip
-        size = _ROTATIONS * rotations.size_of_rotation(w, self.px_per_rad) if sized else 0.0
+        power = LATTICE.rotation_power if sized else 0.0
+        size = power * rotations.size_of_rotation(w, self.px_per_rad)
         return Explanations(np.zeros((1, 3)), w[None], np.array([residual]), np.array([size]))
 
     def _counted(self, information: Array) -> Array:
@@ -225,7 +221,7 @@ class NodeEpipolar:
         """
         found: tuple[Array, Array, Array] = constraints.best_motion(
             flow, self._counted(information), self.a, self.b, v, self.soft, self.inlier_px,
-            _REWEIGHTINGS,
+            LATTICE.reweightings,
         )  # fmt: skip
         return found
 
@@ -252,11 +248,12 @@ class NodeEpipolar:
     ) -> Explanations:
         """Fit w for each v (M, 3) and its field of lines (M, nodes, 2)."""
         flow, information, known = evidence
-        depths, falling = (_DEPTHS, _ROTATIONS) if sized else (0.0, 0.0)
+        sizes = LATTICE.independent_depths, LATTICE.rotation_power
+        depths, falling = sizes if sized else (0.0, 0.0)
         found = Explanations(v, np.empty((len(v), 3)), np.empty(len(v)), np.empty(len(v)))
         rotations.best_rotations(
             lines, self.soft, self.b, flow, self._counted(information), self.inlier_px,
-            _REWEIGHTINGS, *known, depths, falling, self.px_per_rad,
+            LATTICE.reweightings, *known, depths, falling, self.px_per_rad,
             found.w, found.residual, found.size,
         )  # fmt: skip
         return found

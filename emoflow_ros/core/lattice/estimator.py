@@ -26,19 +26,13 @@ from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.reading import EstimateReader, with_gyro
 from emoflow_ros.core.lattice.refinement import Depths, refined
 from emoflow_ros.core.lattice.selection import ModelSelector
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.types.events import Window
 
 Array = NDArray[np.float64]
-
-_COARSE_EVENTS = 10_000  # are enough at reduced resolution
-_CONVERGED_PX, _STEPS_AFTER_CHANGE = 0.01, 3
-# 1 - |agreement| from which earlier windows no longer count: a tenth of the flow on the wrong side
-_DOUBT = 0.2
-_ON_ONE_SIDE = 0.5  # agreement on the sign of v from which the fit relies on it
-_SWITCH = 0.2  # share of the present residual cost by which another direction of v must be cheaper
 
 
 class LatticeEstimator:
@@ -163,7 +157,7 @@ class LatticeEstimator:
         """Correct a prediction of flow and motion from coarse to fine."""
         fit = self._fit
         fit.step_px = np.inf
-        few = events.every(max(1, len(events) // _COARSE_EVENTS))
+        few = events.every(max(1, len(events) // LATTICE.coarse_events))
         for scale, steps in ((0.25, 2), (0.5, 1)) if fit.known is None else ((0.5, 1),):
             for _ in range(steps):
                 if self._late():
@@ -179,13 +173,13 @@ class LatticeEstimator:
         fit = self._fit
         stop = "iterations"
         for k in range(steps):
-            last = k == steps - 1 or fit.step_px < _CONVERGED_PX
+            last = k == steps - 1 or fit.step_px < LATTICE.converged_px
             if not last and hurry and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
             if last and self._reconsider(fit.free_flow(), prior):
                 fit.structure = None
-                for _ in range(_STEPS_AFTER_CHANGE):
+                for _ in range(LATTICE.steps_after_change):
                     fit.linearise(events, 1.0)
                     self._step(None)
                     if hurry and self._late():
@@ -195,7 +189,7 @@ class LatticeEstimator:
             self._step(prior)
             if last:
                 break
-        return "converged" if fit.step_px < _CONVERGED_PX else stop
+        return "converged" if fit.step_px < LATTICE.converged_px else stop
 
     def _step(self, prior: MotionPrior | None) -> None:
         if self._selector.model is MotionModel.ROTATION:
@@ -223,12 +217,12 @@ class LatticeEstimator:
         rotation = epipolar.rotation(*free.evidence, sized=sized)
         if prior is not None:
             # Trust earlier windows less if the motion puts part of the scene behind the camera.
-            trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / _DOUBT)
+            trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / LATTICE.doubt)
             others = replace(others, size=others.size + trust * prior.surprise(others.v))
         softness = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
         best = int(others.cost.argmin())
         rotates = self._selector.model is MotionModel.ROTATION  # v is then only a guess
-        margin = 0.0 if rotates else _SWITCH * here.residual[0]
+        margin = 0.0 if rotates else LATTICE.switch * here.residual[0]
         switch = bool(others.cost[best] < here.cost[0] - margin)
         if switch:
             here = others.at(best)
@@ -252,7 +246,7 @@ class LatticeEstimator:
         if self.config.model != "auto":
             after = self._selector.model = MotionModel(self.config.model)
         agreement = self._selector.agreement
-        self._fit.front = float(np.sign(agreement)) if abs(agreement) > _ON_ONE_SIDE else 0.0
+        self._fit.front = float(np.sign(agreement)) if abs(agreement) > LATTICE.on_one_side else 0.0
         self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])

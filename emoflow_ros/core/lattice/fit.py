@@ -26,15 +26,13 @@ from emoflow_ros.core.lattice.egomotion import (
 )
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.normal_equations import NormalEquations
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import trusted
 from emoflow_ros.core.lattice.window_events import WindowEvents
 
 Array = NDArray[np.float64]
 
 SCALES = (0.25, 0.5, 1.0)
-_ROTATION_STIFFNESS = 10.0  # times dec_weight: a rotation leaves the flow no freedom of its own
-_STRAIGHT_PX = 0.1  # flow of rotation, px per window, that a camera which does not rotate may have
-_STRUCTURE_TRUST = 0.3  # errors of neighbouring nodes go together
 
 # w and v in the middle of the window from the motion's unknowns, (6, 25).
 _TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
@@ -160,7 +158,7 @@ class LatticeFit:
         epipolar = self.epipolar
         motion = self._require_motion()
         residual = self.node_flow - epipolar.rotational_flow(motion)
-        stiffness = _ROTATION_STIFFNESS * self.config.dec_weight
+        stiffness = LATTICE.rotation_stiffness * self.config.dec_weight
         weight = stiffness * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
         for d in range(2):
@@ -188,7 +186,7 @@ class LatticeFit:
             *self._equations.parts,
         )  # fmt: skip
         if self.structure is not None:
-            share = _STRUCTURE_TRUST * INFORMATION_EXCESS / self.lattice.times
+            share = LATTICE.structure_trust * INFORMATION_EXCESS / self.lattice.times
             known = self.structure.inverse_depth, self.structure.information
             add_structure(
                 *at, epipolar.usable, motion.at(0.5)[1], motion.speed, *known, share,
@@ -212,7 +210,7 @@ class LatticeFit:
     @property
     def _of_no_turn(self) -> float:
         """Information on each component of w, rad per window, of a camera that does not rotate."""
-        return (self.epipolar.px_per_rad / _STRAIGHT_PX) ** 2
+        return (self.epipolar.px_per_rad / LATTICE.straight_px) ** 2
 
     @property
     def _rotation_stiffness(self) -> float:

@@ -9,17 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.contrast import Contrast, best_constant_flow
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 
 F32 = NDArray[np.float32]
-
-# The search for a start of a cold fit: number of events, and reach in px per window.
-_SEARCH_EVENTS = 6_000
-_SEARCH_REACH_PX = 48.0
-
-_EVENTS = 2_000  # number of events that is enough at low resolution
-_REACH_PX = 16.0  # reach of the fresh search, px per window
-_BETTER = 1.05  # contrast of a constant flow over that of the fit: from here on the fit is lost
 
 
 def best_start(contrast: Contrast, events: WindowEvents, flows: list[F32]) -> F32:
@@ -36,8 +29,8 @@ def best_start(contrast: Contrast, events: WindowEvents, flows: list[F32]) -> F3
 
 def cold_start(contrast: Contrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
     """Search the constant flow like `fresh_start`, but further and with more events."""
-    few = events.every(max(1, len(events) // _SEARCH_EVENTS))
-    return np.zeros(shape, np.float32) + best_constant_flow(contrast, few, _SEARCH_REACH_PX)
+    few = events.every(max(1, len(events) // LATTICE.search_events))
+    return np.zeros(shape, np.float32) + best_constant_flow(contrast, few, LATTICE.search_reach_px)
 
 
 def fresh_start(contrast: Contrast, events: WindowEvents, shape: tuple[int, ...]) -> F32:
@@ -47,7 +40,9 @@ def fresh_start(contrast: Contrast, events: WindowEvents, shape: tuple[int, ...]
         contrast, events: as in `best_start`.
         shape: of the field, (columns, rows, times, 2).
     """
-    return np.zeros(shape, np.float32) + best_constant_flow(contrast, _some(events), _REACH_PX)
+    return np.zeros(shape, np.float32) + best_constant_flow(
+        contrast, _some(events), LATTICE.fresh_reach_px
+    )
 
 
 def is_lost(contrast: Contrast, events: WindowEvents, flow: F32, fresh: F32) -> bool:
@@ -59,8 +54,8 @@ def is_lost(contrast: Contrast, events: WindowEvents, flow: F32, fresh: F32) -> 
         fresh: what `fresh_start` has found.
     """
     few = _some(events)
-    return contrast.sharpen(few, fresh) > _BETTER * contrast.sharpen(few, flow)
+    return contrast.sharpen(few, fresh) > LATTICE.lost * contrast.sharpen(few, flow)
 
 
 def _some(events: WindowEvents) -> WindowEvents:
-    return events.every(max(1, len(events) // _EVENTS))
+    return events.every(max(1, len(events) // LATTICE.low_resolution_events))

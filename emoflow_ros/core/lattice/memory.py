@@ -9,12 +9,11 @@ from emoflow_ros.core.geometry.camera_motion import basis
 from emoflow_ros.core.lattice.belief import Belief, MotionPrior, Structure
 from emoflow_ros.core.lattice.egomotion import Motion
 from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.types.events import NS_PER_S, Window
 
 # Shares of the flow's change in a window that may go on: the events decide.
 _EXTRAPOLATIONS = np.array([0.5, 0.0, 1.0, 1.5], np.float32)
-# A longer gap ends a warm start. Dropped windows are such gaps, and a cold start takes longer.
-_MAX_GAP_S = 0.9
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Memory:
     def reaches(self, window: Window) -> bool:
         """Tell whether a window comes soon enough after this one to start from it."""
         silence = window.t_start - self.t_end
-        return window.t_end >= self.t_end and silence <= _MAX_GAP_S * NS_PER_S
+        return window.t_end >= self.t_end and silence <= LATTICE.longest_gap_s * NS_PER_S
 
     def flows(self, window: Window) -> list[NDArray[np.float32]]:
         """Flows (columns, rows, times, 2) that a later window may show, for _EXTRAPOLATIONS."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.preparation import reduction
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.core.stream.thinning import first_of_latest
@@ -20,17 +21,9 @@ F32 = NDArray[np.float32]
 
 _GRID_PX = 16  # distance between the pixels whose displacement counts
 _STILL_PX = 1e-3
-_FAST = 0.9  # quantile of the displacements that counts: where it is fast, warps fail first
 _LEGS = 4  # straight pieces that a path is measured in: a shaking camera turns back on its way
-# Shares of a window's events that are tried first while no motion is known, in turn from the first
-# failure on. Usually the camera hardly moves then, and whole windows show best when it begins to
-# move. But it may also be too fast for whole windows.
-_SHARES = (1.0, 0.25, 1.0, 0.06)
-_CHANGE_PX = 2.0  # largest displacement off the fit within a part, px of the working image
 
 _THIRD = 1 / 3  # share of a window
-_FEW_EVENTS = 300  # number of events in a third; fewer tell nothing
-_EVENTS = 3_000  # number of events that is enough at low resolution
 
 
 class MotionWindows:
@@ -96,7 +89,7 @@ class MotionWindows:
 
     def _first_part(self, window: Window) -> Window:
         """Choose a part while no motion is known."""
-        share = _SHARES[max(0, self._failures - 1) % len(_SHARES)]
+        share = LATTICE.first_shares[max(0, self._failures - 1) % len(LATTICE.first_shares)]
         return window.since(self._choose_start(window, round(share * window.events.came)))
 
     def _choose_start(self, window: Window, count: int) -> int:
@@ -113,14 +106,14 @@ class MotionWindows:
     def _next_count(self, flow: FlowSampler, change_px: float, part: Window) -> int:
         longer = self._longest_px / max(_STILL_PX, self._displacement(flow, part))
         if change_px > 0:  # it grows with the square of the time
-            longer = min(longer, (_CHANGE_PX / change_px) ** 0.5)
+            longer = min(longer, (LATTICE.change_px / change_px) ** 0.5)
         return round(part.events.came * longer)
 
     def _displacement(self, flow: FlowSampler, part: Window) -> float:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""
         length = part.t_end - part.t_start
         times = [part.t_start + leg * length // _LEGS for leg in range(_LEGS + 1)]
-        return _path_length(flow.tracks(self._grid, times), _FAST)
+        return _path_length(flow.tracks(self._grid, times), LATTICE.fast)
 
 
 @njit(nogil=True)
@@ -160,9 +153,9 @@ class MotionChange:
 
     def _shift(self, events: WindowEvents, flow: F32, begin: float) -> float:
         part = events.between(begin, begin + _THIRD)
-        if len(part) < _FEW_EVENTS:
+        if len(part) < LATTICE.few_events:
             return 0.0
-        few = part.every(max(1, len(part) // _EVENTS))
+        few = part.every(max(1, len(part) // LATTICE.third_events))
         force, stiffness = self._contrast.linearise(few, flow, begin + _THIRD / 2).of_common_shift()
         regular = stiffness + 1e-6 * (1 + np.trace(stiffness)) * np.eye(2)
         return float(np.linalg.norm(np.linalg.solve(regular, force))) * _THIRD

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.core.stream.thinning import spread_places
@@ -15,13 +16,9 @@ from emoflow_ros.core.types.events import Window
 
 F32 = NDArray[np.float32]
 
-# Longer side of the working image of a large sensor, px. Options in pixels are meant for an image
-# of this size. Smaller sensors keep their pixels.
-_LONGER_SIDE_PX = 346
+_LONGER_SIDE_PX = LATTICE.longer_side_px
 
-_SHORTEST_SPREAD = 0.1  # share of the window between the first and the last tenth of the events
 _BLOCK = 8  # side of a block, px
-_FEWEST_BLOCKS = 16  # number of blocks that must hold events
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,8 @@ def prepare(window: Window, image: WorkingImage, config: LatticeConfig) -> Windo
         events.x, events.y, events.t, events.p, spread_places(events, config.max_events),
         window.t_start, window.t_end, image.sensor_px, *image.camera.size,
     )  # fmt: skip
-    if s[9 * len(s) // 10] - s[len(s) // 10] < _SHORTEST_SPREAD or blocks < _FEWEST_BLOCKS:
+    burst = s[9 * len(s) // 10] - s[len(s) // 10] < LATTICE.shortest_spread
+    if burst or blocks < LATTICE.fewest_blocks:
         return None
     return WindowEvents.prepare(x, y, s, on)
 

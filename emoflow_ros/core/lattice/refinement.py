@@ -19,6 +19,7 @@ from emoflow_ros.core.lattice.belief import (
 )
 from emoflow_ros.core.lattice.egomotion import Motion
 from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate
 from emoflow_ros.core.types.events import NS_PER_S
@@ -26,11 +27,7 @@ from emoflow_ros.core.types.events import NS_PER_S
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
-_STEPS = 3  # at full resolution
-_STIFFER = 10.0  # weight of the epipolar constraint over that of the first fit
 _TIMES = 9  # at which the motion is read
-_SPREAD = 0.5  # standard deviation of the distance from a node to points that count, in spacings
-_OWN_SD = 0.1  # of one point's depth, over the depth
 _LEAST = 1e-9  # variance of an angle or of an inverse depth, per window^2
 
 
@@ -55,11 +52,11 @@ class Depths:
             seconds: length of the window.
         """
         squared = ((nodes[:, None] - self.points) ** 2).sum(axis=-1)
-        weight = np.exp(-0.5 * squared / (_SPREAD * spacing) ** 2)
+        weight = np.exp(-0.5 * squared / (LATTICE.spread * spacing) ** 2)
         rho = seconds * self.inverse_depth
         number = weight.sum(axis=1)
         mean, square = (weight @ value / np.maximum(number, 1e-9) for value in (rho, rho**2))
-        variance = np.maximum(square - mean**2, 0) + (_OWN_SD * mean) ** 2 + _LEAST
+        variance = np.maximum(square - mean**2, 0) + (LATTICE.own_sd * mean) ** 2 + _LEAST
         return Structure(mean, number / variance)
 
 
@@ -85,7 +82,7 @@ def refined(
     again = copy(fit)
     again.known = KnownRotation.seen(w, of_w)
     again.straight = False
-    again.config = replace(fit.config, dec_weight=_STIFFER * fit.config.dec_weight)
+    again.config = replace(fit.config, dec_weight=LATTICE.stiffer * fit.config.dec_weight)
     points = again.known.control_points()
     prior = None
     if estimate.translation_observable:
@@ -96,7 +93,7 @@ def refined(
     else:
         again.motion = replace(fit.motion, w=points)
     try:
-        for _ in range(_STEPS):
+        for _ in range(LATTICE.refining_steps):
             again.linearise(events, 1.0)
             if prior is None:
                 again.step_rotation()

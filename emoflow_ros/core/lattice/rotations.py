@@ -3,11 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.numerics.jit import njit
 
 F64 = NDArray[np.float64]
 
-_LEAST_FLOW_PX = 0.3  # flow, px per window, that cannot be told from zero
+_LEAST_FLOW_PX = LATTICE.least_flow_px  # numba reads no fields
 
 # Sums may be taken in any order, so that they become vector instructions.
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)

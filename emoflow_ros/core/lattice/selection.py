@@ -9,26 +9,10 @@ from emoflow_ros.core.geometry.camera_motion import cheirality
 from emoflow_ros.core.lattice.belief import INFORMATION_EXCESS
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.fit import FreeFlow
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.types.estimate import MotionModel
 
 Array = NDArray[np.float64]
-
-_FORGETTING = 0.6  # weight of the past against the present window
-
-# Measured on rotations and on translations past flat walls (docs/method.md). A pure
-# rotation leaves only the flow's own error: less than these at half of the nodes ...
-_ERROR_PX = 0.8
-_ERROR_SHARE = 0.06
-# ... and the full model, with a depth for each node, lowers the cost by this factor anyway.
-_FREEDOM = 4.5
-# So little that there is nothing else to explain:
-_NOTHING_PX = 0.15
-_NOTHING_SHARE = 0.015
-_HYSTERESIS = 1.25  # of a rotation ...
-_INERTIA = 1.5  # ... and of translation, which passes through moments that look like rotation
-_STRAIGHT = 0.7  # Wald's statistic up to which a camera that translates is taken not to rotate ...
-_ROTATING = 1.2  # ... until it comes to this
-_SETTLED = 4  # windows that translation without rotation takes to be believed
 
 
 @dataclass
@@ -73,12 +57,12 @@ class ModelSelector:
             known = free.known[0], INFORMATION_EXCESS * free.known[1]
         rotation = epipolar.rotation(free.flow, free.information, known, sized=False)
         full = epipolar.score(v, free.flow, free.information, known, sized=False)
-        more = rotation.residual[0] / (_FREEDOM * full.residual[0] + 1e-12)
+        more = rotation.residual[0] / (LATTICE.freedom * full.residual[0] + 1e-12)
         left = _evident_norm(free.flow - epipolar.b @ rotation.w[0], free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
         rotating = epipolar.rotating(free.flow, free.information / INFORMATION_EXCESS, v)
-        past = _FORGETTING if self.windows else 0.0
+        past = LATTICE.forgetting if self.windows else 0.0
         for name, value in (
             ("agreement", agreement),
             ("residual_px", median),
@@ -90,19 +74,21 @@ class ModelSelector:
         self.windows += 1
         slack = 1.0
         if self.windows > 1:
-            slack = _HYSTERESIS if self.model is MotionModel.ROTATION else 1 / _INERTIA
+            rotated = self.model is MotionModel.ROTATION
+            slack = LATTICE.hysteresis if rotated else 1 / LATTICE.inertia
         nothing = (
-            self.residual_share < _NOTHING_SHARE * slack or self.residual_px < _NOTHING_PX * slack
+            self.residual_share < LATTICE.nothing_share * slack
+            or self.residual_px < LATTICE.nothing_px * slack
         )
         rotates = nothing or (
-            self.residual_px < _ERROR_PX * slack
-            and self.residual_share < _ERROR_SHARE * slack
+            self.residual_px < LATTICE.rotation_px * slack
+            and self.residual_share < LATTICE.rotation_share * slack
             and self.advantage < np.log(slack)
         )
-        bound = _ROTATING if self.model is MotionModel.TRANSLATION else _STRAIGHT
+        bound = LATTICE.rotating if self.model is MotionModel.TRANSLATION else LATTICE.straight
         if rotates:
             self.model = MotionModel.ROTATION
-        elif self.windows >= _SETTLED and self.rotating < bound and free.known is None:
+        elif self.windows >= LATTICE.settled and self.rotating < bound and free.known is None:
             self.model = MotionModel.TRANSLATION
         else:
             self.model = MotionModel.FULL

@@ -16,22 +16,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.lattice.settings import LATTICE
+
 Array = NDArray[np.float64]
-
-# Variance of a node's flow that more events do not reduce, px^2 per window^2 (docs/method.md). It
-# comes from depth edges and from the lattice between its nodes.
-_LASTING_PX2 = 0.4
-_USUAL_MISFIT = 0.13  # least residual cost over what _LASTING_PX2 explains, median over windows
-_LEAST_MISFIT, _MOST_MISFIT = 0.2, 5.0  # bounds of a window's misfit over the usual one
-
-# Error of the flow that the residuals do not show, as it comes into w and v, px per window.
-_OF_W_PX, _OF_V_PX = 0.21, 0.09
-_LEAST_PARALLAX_PX = 0.1
-# Variance of v over that of the possible motions: where motions of less flow are likelier and the
-# costs have a temperature, and where neither is so.
-_OF_SIZED, _OF_UNSIZED = 0.85, 1.5
-_LEAST_ANGLE = 0.02  # standard deviation of v that no flow takes away, rad: no calibration is exact
-_AGREE = 0.3  # spread of the possible directions of translation up to which they agree, rad
 
 
 def trusted(information: Array) -> Array:
@@ -44,7 +31,7 @@ def trusted(information: Array) -> Array:
     Returns:
         (nodes, 2, 2).
     """
-    result: Array = np.linalg.solve(np.eye(2) + _LASTING_PX2 * information, information)
+    result: Array = np.linalg.solve(np.eye(2) + LATTICE.lasting_px2 * information, information)
     return result
 
 
@@ -95,9 +82,9 @@ def temperature(
         What all costs are to be divided by.
     """
     least = min(float(here.residual[0]), float(others.residual.min()))
-    seen = 0.5 * _LASTING_PX2 * float(usable @ np.trace(information, axis1=1, axis2=2))
-    misfit = least / max(seen, 1.0) / _USUAL_MISFIT
-    return float(np.sqrt(np.clip(misfit, _LEAST_MISFIT, _MOST_MISFIT)))
+    seen = 0.5 * LATTICE.lasting_px2 * float(usable @ np.trace(information, axis1=1, axis2=2))
+    misfit = least / max(seen, 1.0) / LATTICE.usual_misfit
+    return float(np.sqrt(np.clip(misfit, LATTICE.least_misfit, LATTICE.most_misfit)))
 
 
 @dataclass(frozen=True)
@@ -146,7 +133,7 @@ class PossibleMotions:
     @property
     def agree(self) -> bool:
         """Whether the possible motions agree on a direction of translation."""
-        return float(np.trace(self.spread[3:, 3:])) < _AGREE**2
+        return float(np.trace(self.spread[3:, 3:])) < LATTICE.agree**2
 
     def covariance(
         self, parallax_px: float, px_per_rad: float, known: Array | None = None, *, sized: bool
@@ -160,9 +147,10 @@ class PossibleMotions:
             known: (3, 3) information on w from elsewhere.
             sized: whether motions of less flow were likelier, and the costs had a temperature.
         """
-        of_w = (_OF_W_PX / px_per_rad) ** 2
-        of_v = (_OF_V_PX / max(parallax_px, _LEAST_PARALLAX_PX)) ** 2 + _LEAST_ANGLE**2
-        scale = np.repeat([1.0, np.sqrt(_OF_SIZED if sized else _OF_UNSIZED)], 3)
+        of_w = (LATTICE.of_w_px / px_per_rad) ** 2
+        parallax_px = max(parallax_px, LATTICE.least_parallax_px)
+        of_v = (LATTICE.of_v_px / parallax_px) ** 2 + LATTICE.least_angle**2
+        scale = np.repeat([1.0, np.sqrt(LATTICE.of_sized if sized else LATTICE.of_unsized)], 3)
         covariance = np.outer(scale, scale) * self.spread + np.diag(np.repeat([of_w, of_v], 3))
         if known is None:
             return covariance

@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.core.numerics.smoothing import gaussian, outwards, smooth
 
 PARTS = 4  # parts of the window whose images are compared
 PAIRS = PARTS / (PARTS - 1)  # all pairs of events over the pairs of events from different parts
 
-_DENSITY_CELL = 4  # side of the cells in which density is counted, px
+_DENSITY_CELL = LATTICE.density_cell  # numba reads no fields
 _DENSITY_TAPS = outwards(gaussian(2.0))  # the density's smoothing, in these cells
-_DENSITY_FLOOR = 0.1  # share of the mean density that is added: lone events stay weak
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -86,7 +86,7 @@ class WindowEvents:
     def prepare(cls, x: F32, y: F32, s: F32, on: NDArray[np.bool_]) -> "WindowEvents":
         """Weigh events by their polarity and density."""
         both = _count(x, y)
-        floor = _DENSITY_FLOOR * both[0].mean()
+        floor = LATTICE.density_floor * both[0].mean()
         smooth(both, _DENSITY_TAPS)
         size = _DENSITY_CELL / np.sqrt(both[0] / both[1] + floor)
         return cls(x, y, s, _choose(x, y, on, size))

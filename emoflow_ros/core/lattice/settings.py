@@ -1,0 +1,167 @@
+"""Numbers that tune the lattice: one table."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class LatticeSettings:
+    """How a window's flow and motion are fitted, judged and told.
+
+    Chosen on random recordings and those of another simulator (docs/experiments.md). Pixels are
+    those of the working image, whatever the sensor. What users may set is in LatticeConfig.
+
+    Attributes:
+        longer_side_px: longer side of the working image of a large sensor, px. Options in pixels
+            are meant for an image of this size; smaller sensors keep their pixels.
+        shortest_spread: share of the window between the first and the last tenth of the events;
+            less is a burst.
+        fewest_blocks: blocks of 8 x 8 px that must hold events.
+        density_cell: side of the cells in which the density of events is counted, px.
+        density_floor: share of the mean density that is added: lone events stay weak.
+        sampling: pixels of an image of warped events per pixel of the working image. With 1 events
+            that have not moved lie exactly upon each other, and look sharper than they are.
+        stiffness_stride: events per event whose stiffness is computed: it is costly, and a mean.
+        search_events, search_reach_px: number of events, and reach in px per window, of the search
+            for a cold start.
+        low_resolution_events: number of events that are enough to compare starts.
+        fresh_reach_px: reach of the search beside a warm start, px per window.
+        lost: contrast of a constant flow over that of the fit, from which the fit is lost.
+        longest_gap_s: a longer gap ends a warm start: dropped windows are such gaps, and a cold
+            start takes longer, s.
+        coarse_events: number of events that are enough at reduced resolution.
+        converged_px: step of the flow below which a fit has converged, px.
+        steps_after_change: further steps where motion model or direction have changed.
+        doubt: 1 - |agreement| on the sign of v from which earlier windows no longer count: a tenth
+            of the flow on the wrong side.
+        on_one_side: agreement from which the fit relies on the sign.
+        switch: share of the present residual cost by which another direction must be cheaper.
+        rotation_stiffness: times dec_weight: a rotation leaves the flow no freedom of its own.
+        straight_px: flow of rotation that a camera which does not rotate may have, px per window.
+        structure_trust: share of the information on earlier depths: errors of neighbouring nodes go
+            together.
+        structure_inlier_px: residual from which an earlier depth counts little, px.
+        information_excess: information of the normal equations over the true one. It is too large,
+            because errors of events are not independent: many come from one edge, and the lattice
+            smooths their errors into each other.
+        flow_error_px: systematic error of a node's flow, the same in many windows, px.
+        most_approach: approach that moves depths on, depths per window.
+        slope_error: standard deviation that is added to half of the change of w by a gyro, rad/s.
+        of_slope: information on half of the change over that on the mean, of another estimate.
+        least_flow_px: flow that cannot be told from zero, px per window.
+        directions: number of directions of v over the hemisphere, about 16 degrees apart.
+        reweightings: of the residuals, for each direction.
+        independent_depths: number per node: it says how much likelier a motion of less flow is.
+        rotation_power: power of |w| that the probability of a rotation falls with.
+        forgetting: weight of the past against the present window in the choice of the motion model.
+        rotation_px, rotation_share: flow that a pure rotation may leave at half of the nodes, px
+            and over the flow: no more than the flow's own error.
+        freedom: factor by which a depth for each node lowers the cost of such a flow anyway.
+        nothing_px, nothing_share: the same, so little that there is nothing to explain.
+        hysteresis, inertia: factors on these bounds after a rotation, and the inverse one after a
+            translation, which passes through moments that look like rotation.
+        straight, rotating: Wald's statistic of w up to which a camera is taken to translate only,
+            and from which no longer.
+        settled: windows after which a camera may be taken to translate only.
+        lasting_px2: variance of a node's flow that more events do not reduce, px^2 per window^2: of
+            depth edges and of the lattice between its nodes.
+        usual_misfit: least residual cost over what that explains, median over windows.
+        least_misfit, most_misfit: bounds of a window's misfit over the usual one.
+        of_w_px, of_v_px: error of the flow that the residuals do not show, as it comes into w and
+            into v, px per window.
+        least_parallax_px: flow by translation that v is measured by at least, px.
+        of_sized, of_unsized: variance of v over that of the possible motions, where motions of less
+            flow are likelier and costs have a temperature, and where neither is so.
+        least_angle: standard deviation of v that no flow takes away, rad: no calibration is exact.
+        agree: spread of the possible directions up to which one is told, rad.
+        one_spot: share of the image up to which the evidence is one spot.
+        elsewhere: distance from a spot's middle, in its standard deviations, that is elsewhere.
+        least_sigma_px: least standard deviation of a spot, px.
+        fewest_elsewhere: number of events elsewhere that tell something.
+        sharper: contrast of these, warped, over that as they came; of noise it is about 1.
+        fast: quantile of the displacements that bounds a window: where it is fast, warps fail
+            first.
+        first_shares: of a window's events that are tried in turn while no motion is known. Usually
+            the camera hardly moves then, and whole windows show best when it begins to; but it may
+            also be too fast for them.
+        change_px: largest displacement off the fit within a part, px of the working image.
+        few_events, third_events: number of events of a third of a window that tell something of it,
+            and that are enough.
+        refining_steps: of the second fit, at full resolution.
+        stiffer: weight of its epipolar constraint over that of the first fit.
+        spread: standard deviation of the distance from a node to patches that count for its depth,
+            in spacings.
+        own_sd: of one patch's depth, over the depth.
+    """
+
+    longer_side_px: int = 346
+    shortest_spread: float = 0.1
+    fewest_blocks: int = 16
+    density_cell: int = 4
+    density_floor: float = 0.1
+    sampling: float = 0.6
+    stiffness_stride: int = 4
+    search_events: int = 6_000
+    search_reach_px: float = 48.0
+    low_resolution_events: int = 2_000
+    fresh_reach_px: float = 16.0
+    lost: float = 1.05
+    longest_gap_s: float = 0.9
+    coarse_events: int = 10_000
+    converged_px: float = 0.01
+    steps_after_change: int = 3
+    doubt: float = 0.2
+    on_one_side: float = 0.5
+    switch: float = 0.2
+    rotation_stiffness: float = 10.0
+    straight_px: float = 0.1
+    structure_trust: float = 0.3
+    structure_inlier_px: float = 1.0
+    information_excess: float = 10.0
+    flow_error_px: float = 0.15
+    most_approach: float = 0.2
+    slope_error: float = 1e-3
+    of_slope: float = 0.3
+    least_flow_px: float = 0.3
+    directions: int = 80
+    reweightings: int = 4
+    independent_depths: float = 0.02
+    rotation_power: float = 1.0
+    forgetting: float = 0.6
+    rotation_px: float = 0.8
+    rotation_share: float = 0.06
+    freedom: float = 4.5
+    nothing_px: float = 0.15
+    nothing_share: float = 0.015
+    hysteresis: float = 1.25
+    inertia: float = 1.5
+    straight: float = 0.7
+    rotating: float = 1.2
+    settled: int = 4
+    lasting_px2: float = 0.4
+    usual_misfit: float = 0.13
+    least_misfit: float = 0.2
+    most_misfit: float = 5.0
+    of_w_px: float = 0.21
+    of_v_px: float = 0.09
+    least_parallax_px: float = 0.1
+    of_sized: float = 0.85
+    of_unsized: float = 1.5
+    least_angle: float = 0.02
+    agree: float = 0.3
+    one_spot: float = 0.35
+    elsewhere: float = 2.5
+    least_sigma_px: float = 5.0
+    fewest_elsewhere: int = 100
+    sharper: float = 1.1
+    fast: float = 0.9
+    first_shares: tuple[float, ...] = (1.0, 0.25, 1.0, 0.06)
+    change_px: float = 2.0
+    few_events: int = 300
+    third_events: int = 3_000
+    refining_steps: int = 3
+    stiffer: float = 10.0
+    spread: float = 0.5
+    own_sd: float = 0.1
+
+
+LATTICE = LatticeSettings()
