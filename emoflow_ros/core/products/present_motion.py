@@ -23,8 +23,8 @@ from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.products.motion_prior import Known
-from emoflow_ros.core.products.present_scene import MEAN_NS, SeenScene, measured
-from emoflow_ros.core.products.settings import STREAM
+from emoflow_ros.core.products.present_scene import SeenScene, measured
+from emoflow_ros.core.products.settings import PRESENT, STREAM
 from emoflow_ros.core.stream.cleaning import clean
 from emoflow_ros.core.types.estimate import (
     Estimate,
@@ -35,27 +35,10 @@ from emoflow_ros.core.types.estimate import (
     Twist,
     velocity_at,
 )
-from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.types.events import NS_PER_S, Window
 from emoflow_ros.core.types.gyro import GyroReadings, GyroState
 
 Array = NDArray[np.float64]
-
-_LONGEST_NS = 600 * NS_PER_MS  # from the middle of the last window to now
-_EVENTS = 8_000  # are enough for six numbers
-_FEWEST_EVENTS = 300
-_STEPS = ((0.5, 2),)  # scale and steps: wide maxima, for the motion may have changed much
-# Largest age of the newest reading where the gyro alone tells the motion.
-_GYRO_FRESH_NS = 20 * NS_PER_MS
-# Variance of the change of w that was not predicted over its square: the scene has moved since, and
-# its depths are not exact.
-_CHANGE_ERROR = 0.2
-_NEWEST_NS = 20 * NS_PER_MS  # the newest part of a slice: it shows first that the camera stops
-# w over what the events allow, in standard deviations, that cannot be. The events' speed is known
-# within a factor of two.
-_TOO_FAST = 3.0
-_EXPECTED_DRIFT = 0.15  # of the configured one: what most recordings show
-_LEAST_SINCE_S = 0.01  # over which a change tells of the drift
-_LIVE_GAP = 0.025**2  # (rad/s)^2, variance of the gap where readings end at the mean's middle
 
 
 class PresentMotion:
@@ -69,11 +52,11 @@ class PresentMotion:
     """
 
     def __init__(self, camera: Camera, config: LatticeConfig) -> None:
-        self._config = replace(config, min_events=_FEWEST_EVENTS, max_events=_EVENTS)
+        self._config = replace(config, min_events=PRESENT.fewest_events, max_events=PRESENT.events)
         self._image = WorkingImage.of(camera)
         self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
-        self._contrasts = {scale: Contrast(self._lattice, scale) for scale, _ in _STEPS}
+        self._contrasts = {scale: Contrast(self._lattice, scale) for scale, _ in PRESENT.steps}
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
         self._scene: SeenScene | None = None
 
@@ -128,14 +111,15 @@ class PresentMotion:
         at_end = scene.change_by_gyro(gyro, window.t_end)
         if by_gyro is not None and at_end is not None:
             change[:3] += at_end[0] - by_gyro[0]
-            late = max(0.0, at_end[1] - by_gyro[1] - _LIVE_GAP)  # of readings that end before now
+            # of readings that end before now
+            late = max(0.0, at_end[1] - by_gyro[1] - PRESENT.live_gap)
             covariance[:3, :3] += late * np.eye(3)
         elif fitted or by_gyro is not None:
             surprise = change[:3] - expected[:3]
             unforeseen = change[:3] - scene.predicted_change(middle)
             change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
-            drift[:3] = _drift_by(self._drift[0], unforeseen, max(since, _LEAST_SINCE_S))
-            covariance[:3, :3] += _CHANGE_ERROR * float(surprise @ surprise) / 3 * np.eye(3)
+            drift[:3] = _drift_by(self._drift[0], unforeseen, max(since, PRESENT.least_since_s))
+            covariance[:3, :3] += PRESENT.change_error * float(surprise @ surprise) / 3 * np.eye(3)
         else:
             change[:3] = scene.predicted_change(window.t_end)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
@@ -158,7 +142,7 @@ class PresentMotion:
         try:
             prior = change[:free].copy(), np.linalg.inv(covariance[:free, :free])
             change[:free], information = known.fit(
-                self._contrasts, _STEPS, events, part.duration, prior
+                self._contrasts, PRESENT.steps, events, part.duration, prior
             )
             covariance[:free, :free] = np.linalg.inv(information)
         except np.linalg.LinAlgError:
@@ -169,14 +153,14 @@ class PresentMotion:
         motion, length = estimate.motion, estimate.t_end - estimate.t_start
         assert motion is not None
         own = estimate.status is Status.OK
-        t = max(estimate.t, estimate.t_end - MEAN_NS) if own else estimate.t
+        t = max(estimate.t, estimate.t_end - PRESENT.mean_ns) if own else estimate.t
         w, v = motion.angular(t), motion.linear(t)
         change = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
         known = None if estimate.flow is None else self._shown(estimate.flow, t, w, v)
         used = estimate.gyro.state is GyroState.USED
         return SeenScene(
             t=t,
-            valid_until=estimate.t + _LONGEST_NS,
+            valid_until=estimate.t + PRESENT.longest_ns,
             length_ns=length,
             motion=np.concatenate([w, v]),
             angular_acceleration=change * (NS_PER_S / length),
@@ -203,7 +187,7 @@ def _drift_by(configured: float, unforeseen: Array, seconds: float) -> float:
     The mean of an expected value, which counts as much as one such change, and the change's own: a
     camera that shakes goes on shaking, and a calm one stays calm.
     """
-    expected = _EXPECTED_DRIFT**2 * configured
+    expected = PRESENT.expected_drift**2 * configured
     return 0.5 * (expected + float(unforeseen @ unforeseen) / (3 * seconds))
 
 
@@ -221,7 +205,7 @@ def _is_fresh(window: Window) -> bool:
     if window.gyro is None:
         return False
     readings = window.gyro.covering(window.t_start, window.t_end, 0)
-    return len(readings) > 0 and window.t_end - int(readings.t[-1]) <= _GYRO_FRESH_NS
+    return len(readings) > 0 and window.t_end - int(readings.t[-1]) <= PRESENT.gyro_fresh_ns
 
 
 def _held(
@@ -241,14 +225,14 @@ def _held(
     """
     if bound is None:
         return found
-    parts = (seen, seen.since(seen.t_end - _NEWEST_NS))
+    parts = (seen, seen.since(seen.t_end - PRESENT.newest_ns))
     speeds = [speed for speed in map(bound.speed, parts) if speed is not None]
     if not speeds:
         return found
     speed, twist = min(speeds), found.twist
     of_rest = bound.rotation_covariance(speed)
     motion = Known(twist.t, twist.linear, twist.angular, found.covariance)
-    too_fast = float(twist.angular @ np.linalg.solve(of_rest, twist.angular)) > _TOO_FAST**2
+    too_fast = float(twist.angular @ np.linalg.solve(of_rest, twist.angular)) > PRESENT.too_fast**2
     if not by_gyro and (too_fast or not measured):
         if measured:  # all of it may be of before
             covariance = motion.covariance.copy()

@@ -7,17 +7,12 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.gyro.measurement import Shape, fit_shape
 from emoflow_ros.core.products.known_scene import KnownScene
+from emoflow_ros.core.products.settings import PRESENT
 from emoflow_ros.core.types.estimate import SpeedBound
-from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.events import NS_PER_S
 from emoflow_ros.core.types.gyro import GyroReadings
 
 Array = NDArray[np.float64]
-
-MEAN_NS = 5 * NS_PER_MS  # on either side of a time, against the noise of single gyro readings
-# Time in which an angular acceleration becomes smaller by a factor of e: this, or the window's
-# length if that is shorter, for the change within a short window is known less well.
-_FADES_S = 0.06
-_GYRO_ERROR = np.radians(0.5)  # rad/s, of a difference of two such means
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,7 @@ class SeenScene:
 
     def predicted_change(self, t: int) -> Array:
         """Change of w (3,) from the scene's time to t, ns: as in the window, but it fades."""
-        ahead, fades = (t - self.t) / NS_PER_S, min(_FADES_S, self.length_ns / NS_PER_S)
+        ahead, fades = (t - self.t) / NS_PER_S, min(PRESENT.fades_s, self.length_ns / NS_PER_S)
         seconds = -fades * np.expm1(-ahead / fades) if ahead > 0 else ahead
         return self.angular_acceleration * seconds
 
@@ -66,14 +61,14 @@ class SeenScene:
         if now is None or self.gyro is None:
             return None
         change = now.coefficients[0] - self.gyro.coefficients[0]
-        return change, _GYRO_ERROR**2 + now.gap_variance + self.gyro.gap_variance
+        return change, PRESENT.gyro_error**2 + now.gap_variance + self.gyro.gap_variance
 
 
 def measured(gyro: GyroReadings | None, t: int) -> Shape | None:
     """What a gyro's readings tell around a time; None if they are not there or not finite."""
     if gyro is None:
         return None
-    start, end = t - MEAN_NS, t + MEAN_NS
+    start, end = t - PRESENT.mean_ns, t + PRESENT.mean_ns
     near = gyro.covering(start, end)
     if len(near) == 0 or not np.isfinite(near.w).all():
         return None

@@ -1,4 +1,4 @@
-"""Numbers that tune what is told where nothing is measured: one table."""
+"""Numbers that tune what is told: a table for every window, and one for the latest twist."""
 
 from dataclasses import dataclass
 from math import radians
@@ -38,6 +38,8 @@ class StreamSettings:
         apart: and the share of ON events was another one before, by so much.
         kept: of the share before, window by window.
         widest: standard deviation from which a direction is not known, rad.
+        narrow_w, narrow_v: standard deviations up to which nothing needs a word, rad.
+        few_events, low_gain: number of events, and contrast gain, below which they are the word.
     """
 
     block_px: int = 8
@@ -63,6 +65,52 @@ class StreamSettings:
     apart: float = 0.3
     kept: float = 0.8
     widest: float = radians(60.0)
+    narrow_w: float = radians(5.0)
+    narrow_v: float = radians(15.0)
+    few_events: int = 5_000
+    low_gain: float = 1.3
+
+
+@dataclass(frozen=True)
+class PresentSettings:
+    """How the latest twist is told from the newest events, or from a gyro.
+
+    Chosen on the 18 random recordings of docs/experiments.md. Nothing scales with the sensor.
+
+    Attributes:
+        longest_ns: from the middle of the last window to now; later there is none, ns.
+        events, fewest_events: number of events that are enough for six numbers, and of fewest.
+        steps: scale and number: wide maxima, for the motion may have changed much.
+        fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
+            the window's length if that is shorter, for the change within it is known less well.
+        change_error: variance of the change of w that was not predicted over its square: the scene
+            has moved since, and its depths are not exact.
+        newest_ns: the newest part of the events, which first shows that the camera stops, ns.
+        too_fast: w over what the events allow that cannot be, in standard deviations: their speed
+            is known within a factor of two.
+        expected_drift: of the configured one: what most recordings show.
+        least_since_s: least time over which a change tells of the drift, s.
+        mean_ns: time on either side whose readings of a gyro are averaged, ns.
+        gyro_error: standard deviation of a difference of two such means, rad/s.
+        gyro_fresh_ns: largest age of the newest reading where the gyro alone tells the motion, ns.
+        live_gap: variance of w where readings end at a mean's middle, (rad/s)^2.
+    """
+
+    longest_ns: int = 600_000_000
+    events: int = 8_000
+    fewest_events: int = 300
+    steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
+    fades_s: float = 0.06
+    change_error: float = 0.2
+    newest_ns: int = 20_000_000
+    too_fast: float = 3.0
+    expected_drift: float = 0.15
+    least_since_s: float = 0.01
+    mean_ns: int = 5_000_000
+    gyro_error: float = radians(0.5)
+    gyro_fresh_ns: int = 20_000_000
+    live_gap: float = 0.025**2
 
 
 STREAM = StreamSettings()
+PRESENT = PresentSettings()

@@ -2,12 +2,8 @@
 
 import numpy as np
 
+from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import Estimate, Status
-
-# Standard deviations along any axis up to which nothing needs a word.
-_NARROW_W, _NARROW_V = np.radians(5.0), np.radians(15.0)
-_FEW_EVENTS = 5_000
-_LOW_GAIN = 1.3
 
 
 def why_wide(estimate: Estimate) -> str:
@@ -25,14 +21,14 @@ def why_wide(estimate: Estimate) -> str:
     quality = estimate.quality
     if not quality.warm:
         return "start"
-    if quality.events < _FEW_EVENTS:
+    if quality.events < STREAM.few_events:
         return "events"
-    return "motion" if quality.contrast_gain < _LOW_GAIN else "ambiguous"
+    return "motion" if quality.contrast_gain < STREAM.low_gain else "ambiguous"
 
 
 def _is_wide(estimate: Estimate) -> bool:
     covariance = estimate.covariance
-    if np.linalg.eigvalsh(covariance[3:, 3:])[-1] > _NARROW_W**2:
+    if np.linalg.eigvalsh(covariance[3:, 3:])[-1] > STREAM.narrow_w**2:
         return True
     translates = estimate.translation_observable
-    return translates and bool(np.linalg.eigvalsh(covariance[:3, :3])[-1] > _NARROW_V**2)
+    return translates and bool(np.linalg.eigvalsh(covariance[:3, :3])[-1] > STREAM.narrow_v**2)
