@@ -109,8 +109,9 @@ class RememberingEstimator:
             memory, end = self.nothing(), window.t_start
         if found.flow is None:
             return replace(memory, end=end), found
-        slices = self._slices(window, end, found, found.flow)
-        state = self._odometry.step(memory.odometry, slices)
+        state = self._taken(memory.odometry, window, end, found)
+        if self._is_refuted(state, found):
+            state = self._taken(self._odometry.start(), window, end, found)
         before, motion = memory.revisions, state.motion(found.t)
         again = None if before.t is None else state.motion(before.t)
         revision = before.after(again, self._odometry.back)
@@ -120,6 +121,22 @@ class RememberingEstimator:
     def nothing(self) -> Memory:
         """A memory of nothing."""
         return Memory(self._odometry.start(), Revisions(self._odometry.back.usual_revision))
+
+    def _taken(self, state: State, window: Window, since: int, found: Estimate) -> State:
+        """Take a window's slices since a time (ns) into a state."""
+        assert found.flow is not None
+        return self._odometry.step(state, self._slices(window, since, found, found.flow))
+
+    def _is_refuted(self, state: State, found: Estimate) -> bool:
+        """Tell whether the window's own angular velocity is far from what the memory says.
+
+        A motion that begins at once is not expected, so that no patch is found again.
+        """
+        motion = state.motion(found.t)
+        if motion is None:
+            return False
+        apart = self._measured(found).root @ (found.angular - motion.angular)
+        return float(apart @ apart) > self._odometry.back.refuted**2
 
     def _slices(
         self, window: Window, since: int, found: Estimate, flow: FlowSampler

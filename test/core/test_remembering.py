@@ -128,6 +128,25 @@ def test_after_a_gap_the_memory_begins_anew(calm: Run):
     assert np.median(errors) < 2.0
 
 
+def test_a_motion_that_begins_at_once_is_followed():
+    """All patches that are remembered moved slowly: none is found where it is expected."""
+    recording = simulate("rotation", duration_s=0.6, seed=4, fps=500)
+    events, t0 = recording.events, int(recording.events.t[0])
+    begin, slower, faster = 120 * NS_PER_MS, 6, 2  # the first 0.12 s last 0.72 s, then it hurries
+    since = events.t - t0
+    late = begin * slower + (since - begin) // faster
+    t = t0 + np.where(since < begin, since * slower, late)
+    fast = 0
+    for e in estimates_of(recording, windows_of(replace(events, t=t))):
+        after = e.t - t0 - begin * slower
+        if after > 0:
+            true = faster * recording.truth.twist(t0 + begin + after * faster)[1]
+            assert np.degrees(np.linalg.norm(true)) > 100
+            assert np.degrees(np.linalg.norm(e.angular - true)) < 20
+            fast += 1
+    assert fast >= 3
+
+
 def noise(count: int, t0: int, t1: int, size: tuple[int, int]) -> Events:
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(t0, t1, count))
