@@ -128,15 +128,16 @@ class RememberingEstimator:
         return self._odometry.step(state, self._slices(window, since, found, found.flow))
 
     def _is_refuted(self, state: State, found: Estimate) -> bool:
-        """Tell whether the window's own angular velocity is far from what the memory says.
+        """Tell whether the memory explains neither its places nor the window's own w.
 
-        A motion that begins at once is not expected, so that no patch is found again.
+        So it is where a motion begins at once: no patch is where it is expected.
         """
-        motion = state.motion(found.t)
-        if motion is None:
+        motion, back = state.motion(found.t), self._odometry.back
+        if motion is None or state.adjusted is None:
             return False
         apart = self._measured(found).root @ (found.angular - motion.angular)
-        return float(apart @ apart) > self._odometry.back.refuted**2
+        misfit = state.adjusted.mean_cost(back)
+        return float(apart @ apart) > back.refuted**2 and misfit > back.refuting_cost
 
     def _slices(
         self, window: Window, since: int, found: Estimate, flow: FlowSampler

@@ -30,8 +30,9 @@ class BackEndSettings:
             successive windows overlap.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
-        refuted: the same distance, of its angular velocity from the adjusted one, from which the
-            memory is forgotten: a motion that begins at once is unlike all that is remembered.
+        refuted, refuting_cost: the same distance, of its angular velocity from the adjusted one,
+            and cost of an observation like `least_cost`, from which on, both together, the memory
+            is forgotten: a motion that begins at once is unlike all that is remembered.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_windows: adjustments over whose mean that is decided.
         surely_translates: cost per patch from which that is checked now and then only.
@@ -70,6 +71,7 @@ class BackEndSettings:
     lattice_sd_deg: float = 1.5
     lattice_outlier: float = 20.0
     refuted: float = 6.0
+    refuting_cost: float = 1.5
     rotation_cost: float = 1.25
     rotation_windows: int = 3
     surely_translates: float = 3.75
