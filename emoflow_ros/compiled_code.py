@@ -14,7 +14,8 @@ from emoflow_ros.errors import InputError
 
 VARIABLE = "NUMBA_CACHE_DIR"
 
-_BESIDE_THE_SOURCES = Path(__file__).parent / "core" / "__pycache__"
+# Numba keeps code beside each source; most of it, as much as counts here, is the lattice's.
+_BESIDE_THE_SOURCES = Path(__file__).parent / "core" / "lattice" / "__pycache__"
 _ROOM = 32 * 2**20  # bytes: more than all of the compiled code
 _FIX = f"set {VARIABLE} to a folder that can be written and has {_ROOM >> 20} MiB"
 

@@ -13,6 +13,7 @@ from emoflow_ros import compiled_code
 from emoflow_ros.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
+BESIDE_THE_SOURCES = compiled_code._BESIDE_THE_SOURCES
 
 
 @pytest.fixture
@@ -30,6 +31,12 @@ def _folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(compiled_code, "_BESIDE_THE_SOURCES", tmp_path / "sources" / "__pycache__")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+
+
+def test_folder_of_the_sources_lies_beside_functions_that_are_compiled() -> None:
+    beside = [source.read_text() for source in BESIDE_THE_SOURCES.parent.glob("*.py")]
+    assert BESIDE_THE_SOURCES.name == "__pycache__"
+    assert any("@njit" in text for text in beside)
 
 
 def test_folder_of_the_sources_is_taken_without_a_word(

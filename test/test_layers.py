@@ -93,7 +93,7 @@ def test_folders_of_core_import_earlier_ones_only() -> None:
     seen = 0
     for path in core.rglob("*.py"):
         own = path.relative_to(core).parts[0] if path.parent != core else ""
-        for name in imports(path):
+        for name in (dotted.split(".") for dotted in names(path)):
             if name[:2] == ["emoflow_ros", "core"] and len(name) > 2:
                 of = name[2] if name[2] in CORE else ""
                 assert CORE.index(of) <= CORE.index(own), f"{path.relative_to(core)}: {of}"

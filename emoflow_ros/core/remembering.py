@@ -128,9 +128,10 @@ class RememberingEstimator:
         return self._odometry.step(state, self._slices(window, since, found, found.flow))
 
     def _is_refuted(self, state: State, found: Estimate) -> bool:
-        """Tell whether the memory explains neither its places nor the window's own w.
+        """Tell whether, with the window adjusted, w is far from its own and places do not fit.
 
-        So it is where a motion begins at once: no patch is where it is expected.
+        Patches of a motion that begins at once are found at wrong places, if at all. The window is
+        the lattice's then: fewer than three slices tell no motion. Revisions go on.
         """
         motion, back = state.motion(found.t), self._odometry.back
         if motion is None or state.adjusted is None:

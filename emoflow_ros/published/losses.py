@@ -108,7 +108,7 @@ def occupied_pixels(points: Tensor, valid: Tensor) -> Tensor:
 
 
 def dec_residual(bearings: Tensor, flow: Tensor, v: Tensor, w: Tensor) -> Tensor:
-    """Evaluate the differential epipolar constraint as core.geometry.camera_motion does.
+    """Evaluate the differential epipolar constraint as `dec_residual` of core.geometry does.
 
     Args:
         bearings: (N, 2) on the undistorted normalised plane.

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
+from emoflow_ros.core.lattice.config import LatticeConfig
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window, WindowSlicer
 from emoflow_ros.factory import make_estimator
@@ -145,6 +148,22 @@ def test_a_motion_that_begins_at_once_is_followed():
             assert np.degrees(np.linalg.norm(e.angular - true)) < 20
             fast += 1
     assert fast >= 3
+
+
+def test_a_window_s_wrong_motion_does_not_refute_places_that_fit(calm: Run):
+    camera = calm.recording.camera
+    lattice = LatticeEstimator(camera, LatticeConfig())
+    reader = RememberingEstimator(lattice, camera, lambda estimate, depths: estimate)
+    memory = reader.nothing()
+    for window in calm.windows[:-1]:
+        memory, _ = reader.step(memory, window, lattice.estimate(window))
+    found = lattice.estimate(calm.windows[-1])
+    wrong = replace(
+        found, angular=found.angular + np.radians([60, 0, 0]), covariance=1e-6 * np.eye(6)
+    )
+    _, told = reader.step(memory, calm.windows[-1], wrong)
+    assert calm.error(wrong) > 50
+    assert calm.error(told) < 3
 
 
 def noise(count: int, t0: int, t1: int, size: tuple[int, int]) -> Events:

@@ -25,7 +25,7 @@ _LEAST_GAIN = 1e-4  # share of the cost by which a step that goes on must lower 
 _REGULAR = 1e-9  # added to the diagonal
 _AT_ONE_PLACE = 6  # unknowns of a node at most without its position and velocity
 
-# Without fastmath: sums are the same in every copy of a function (contrast._load_kernels).
+# Without fastmath: sums are the same in every copy of a function (core.lattice.contrast).
 _compiled = njit(nogil=True)
 
 

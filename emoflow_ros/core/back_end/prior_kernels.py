@@ -12,7 +12,7 @@ from emoflow_ros.core.numerics.jit import njit
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Without fastmath: sums are the same in every copy of a function (contrast._load_kernels).
+# Without fastmath: sums are the same in every copy of a function (core.lattice.contrast).
 _compiled = njit(nogil=True)
 
 

@@ -30,9 +30,10 @@ class BackEndSettings:
             successive windows overlap.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
-        refuted, refuting_cost: the same distance, of its angular velocity from the adjusted one,
-            and cost of an observation like `least_cost`, from which on, both together, the memory
-            is forgotten: a motion that begins at once is unlike all that is remembered.
+        refuted: distance of the lattice's angular velocity from the adjusted one in standard
+            deviations, `lattice_sd_deg` included, and
+        refuting_cost: mean robust cost of an observation over `expected_cost`. Beyond both the
+            memory is forgotten: a motion has begun at once.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_windows: adjustments over whose mean that is decided.
         surely_translates: cost per patch from which that is checked now and then only.

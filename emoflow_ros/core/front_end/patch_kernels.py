@@ -17,7 +17,7 @@ INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 _compiled = njit(fastmath=_FAST, nogil=True)
 # Within what calls it: copies by themselves would take sums in another order
-# (contrast._load_kernels).
+# (core.lattice.contrast).
 _inlined = njit(fastmath=_FAST, nogil=True, inline="always")
 
 

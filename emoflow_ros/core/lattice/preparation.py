@@ -16,7 +16,6 @@ from emoflow_ros.core.types.events import Window
 
 F32 = NDArray[np.float32]
 
-_LONGER_SIDE_PX = LATTICE.longer_side_px
 
 _BLOCK = 8  # side of a block, px
 
@@ -39,7 +38,7 @@ class WorkingImage:
     camera: Camera
 
     @classmethod
-    def of(cls, sensor: Camera, longer_side_px: int = _LONGER_SIDE_PX) -> "WorkingImage":
+    def of(cls, sensor: Camera, longer_side_px: int = LATTICE.longer_side_px) -> "WorkingImage":
         """Choose the working image of a sensor, no longer than a number of pixels."""
         ratio = reduction(sensor, longer_side_px)
         if ratio == 1.0:
@@ -63,7 +62,7 @@ class WorkingImage:
         return nodes, flow * self.sensor_px
 
 
-def reduction(sensor: Camera, longer_side_px: int = _LONGER_SIDE_PX) -> float:
+def reduction(sensor: Camera, longer_side_px: int = LATTICE.longer_side_px) -> float:
     """Sensor pixels per pixel of the working image, 1 for sensors that are no larger."""
     return max(1.0, (max(sensor.size) - 1) / (longer_side_px - 1))
 

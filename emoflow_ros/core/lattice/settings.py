@@ -7,8 +7,9 @@ from dataclasses import dataclass
 class LatticeSettings:
     """How a window's flow and motion are fitted, judged and told.
 
-    Chosen on random recordings and those of another simulator (docs/experiments.md). Pixels are
-    those of the working image, whatever the sensor. What users may set is in LatticeConfig.
+    Chosen on random recordings and those of another simulator, those of a rotation on rotations and
+    on translations past flat walls (docs/experiments.md). Pixels are those of the working image,
+    whatever the sensor. What users may set is in LatticeConfig.
 
     Attributes:
         longer_side_px: longer side of the working image of a large sensor, px. Options in pixels
@@ -18,12 +19,14 @@ class LatticeSettings:
         fewest_blocks: blocks of 8 x 8 px that must hold events.
         density_cell: side of the cells in which the density of events is counted, px.
         density_floor: share of the mean density that is added: lone events stay weak.
-        sampling: pixels of an image of warped events per pixel of the working image. With 1 events
-            that have not moved lie exactly upon each other, and look sharper than they are.
+        sampling: pixels of an image of warped events per pixel of the working image, at full
+            resolution. With 1 events that have not moved lie exactly upon each other, and look
+            sharper than they are.
         stiffness_stride: events per event whose stiffness is computed: it is costly, and a mean.
         search_events, search_reach_px: number of events, and reach in px per window, of the search
             for a cold start.
-        low_resolution_events: number of events that are enough to compare starts.
+        low_resolution_events: number of events that are enough at low resolution: to compare flows,
+            and for the search beside a warm start.
         fresh_reach_px: reach of the search beside a warm start, px per window.
         lost: contrast of a constant flow over that of the fit, from which the fit is lost.
         longest_gap_s: a longer gap ends a warm start: dropped windows are such gaps, and a cold
@@ -39,17 +42,18 @@ class LatticeSettings:
         straight_px: flow of rotation that a camera which does not rotate may have, px per window.
         structure_trust: share of the information on earlier depths: errors of neighbouring nodes go
             together.
-        structure_inlier_px: residual from which an earlier depth counts little, px.
+        structure_inlier_px: least residual from which an earlier depth counts little, px; else 3
+            standard deviations.
         information_excess: information of the normal equations over the true one. It is too large,
             because errors of events are not independent: many come from one edge, and the lattice
             smooths their errors into each other.
         flow_error_px: systematic error of a node's flow, the same in many windows, px.
         most_approach: approach that moves depths on, depths per window.
         slope_error: standard deviation that is added to half of the change of w by a gyro, rad/s.
-        of_slope: information on half of the change over that on the mean, of another estimate.
+        of_slope: information on half of w's change over that on its mean, where the memory gives w.
         least_flow_px: flow that cannot be told from zero, px per window.
         directions: number of directions of v over the hemisphere, about 16 degrees apart.
-        reweightings: of the residuals, for each direction.
+        reweightings: number of solutions for each direction; twice as many for a rotation alone.
         independent_depths: number per node: it says how much likelier a motion of less flow is.
         rotation_power: power of |w| that the probability of a rotation falls with.
         forgetting: weight of the past against the present window in the choice of the motion model.
@@ -57,14 +61,15 @@ class LatticeSettings:
             and over the flow: no more than the flow's own error.
         freedom: factor by which a depth for each node lowers the cost of such a flow anyway.
         nothing_px, nothing_share: the same, so little that there is nothing to explain.
-        hysteresis, inertia: factors on these bounds after a rotation, and the inverse one after a
-            translation, which passes through moments that look like rotation.
+        hysteresis, inertia: after a rotation these bounds, and that on the cost, are times the
+            former; after another motion over the latter: it passes through moments that look like
+            rotation.
         straight, rotating: Wald's statistic of w up to which a camera is taken to translate only,
             and from which no longer.
         settled: windows after which a camera may be taken to translate only.
         lasting_px2: variance of a node's flow that more events do not reduce, px^2 per window^2: of
             depth edges and of the lattice between its nodes.
-        usual_misfit: least residual cost over what that explains, median over windows.
+        usual_misfit: least residual cost over what lasting_px2 explains, median over windows.
         least_misfit, most_misfit: bounds of a window's misfit over the usual one.
         of_w_px, of_v_px: error of the flow that the residuals do not show, as it comes into w and
             into v, px per window.
@@ -80,9 +85,9 @@ class LatticeSettings:
         sharper: contrast of these, warped, over that as they came; of noise it is about 1.
         fast: quantile of the displacements that bounds a window: where it is fast, warps fail
             first.
-        first_shares: of a window's events that are tried in turn while no motion is known. Usually
-            the camera hardly moves then, and whole windows show best when it begins to; but it may
-            also be too fast for them.
+        first_shares: shares of a window's events that are tried in turn while no motion is known.
+            Usually the camera hardly moves then, and whole windows show best when it begins to; but
+            it may also be too fast for them.
         change_px: largest displacement off the fit within a part, px of the working image.
         few_events, third_events: number of events of a third of a window that tell something of it,
             and that are enough.

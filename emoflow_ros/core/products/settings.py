@@ -1,4 +1,4 @@
-"""Numbers that tune what is told: a table for every window, and one for the latest twist."""
+"""Numbers that tune what is told: a table for the motion of windows, and for the latest twist."""
 
 from dataclasses import dataclass
 from math import radians
@@ -6,10 +6,10 @@ from math import radians
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """How rest, darkness and how fast the image moves at most are told.
+    """How rest, darkness, how fast the image moves at most and wide covariances are told.
 
-    Chosen on random recordings with rests and covered lenses. Pixels are those of the working
-    image where nothing else is said, so that nothing scales with the sensor.
+    Of the stream of twists. Chosen on random recordings with rests and covered lenses. Pixels are
+    those of the working image where nothing else is said, so that nothing scales with the sensor.
 
     Attributes:
         block_px: side of a block, px.
@@ -17,8 +17,8 @@ class StreamSettings:
         longest_px: way of a window from which only its latest part counts, px.
         shortest_px: a shorter way tells too little of a scene, px.
         grid_px: distance between the points whose speed counts, px of the sensor.
-        sure: standard deviations.
-        fewest_of_edges: events.
+        sure: standard deviations of noise by which a scatter is surely more than chance.
+        fewest_of_edges: number of events from which edges are looked for.
         edges: variance over that by chance from which there are edges.
         fewest: events of a window from a sensor that works.
         rest_px_s: speed up to which a camera is at rest, px/s.
@@ -38,8 +38,10 @@ class StreamSettings:
         apart: and the share of ON events was another one before, by so much.
         kept: of the share before, window by window.
         widest: standard deviation from which a direction is not known, rad.
-        narrow_w, narrow_v: standard deviations up to which nothing needs a word, rad.
-        few_events, low_gain: number of events, and contrast gain, below which they are the word.
+        narrow_w, narrow_v: standard deviations of w, rad/s, and of v, rad, along any axis, up to
+            which nothing needs a word.
+        few_events: number of events below which the word for a wide one is `events`.
+        low_gain: contrast gain below which it is `motion`.
     """
 
     block_px: int = 8
@@ -75,12 +77,15 @@ class StreamSettings:
 class PresentSettings:
     """How the latest twist is told from the newest events, or from a gyro.
 
-    Chosen on the 18 random recordings of docs/experiments.md. Nothing scales with the sensor.
+    Events and fading were chosen on 18 recordings (docs/experiments.md). Nothing scales with the
+    sensor.
 
     Attributes:
         longest_ns: from the middle of the last window to now; later there is none, ns.
-        events, fewest_events: number of events that are enough for six numbers, and of fewest.
-        steps: scale and number: wide maxima, for the motion may have changed much.
+        events, fewest_events: number of events that are enough for six numbers, and that are
+            needed.
+        steps: scale of the images, and number of steps at it: maxima are wide there, for the motion
+            may have changed much.
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
         change_error: variance of the change of w that was not predicted over its square: the scene
@@ -88,12 +93,13 @@ class PresentSettings:
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
         too_fast: w over what the events allow that cannot be, in standard deviations: their speed
             is known within a factor of two.
-        expected_drift: of the configured one: what most recordings show.
+        expected_drift: share of the configured drift that is expected: what most recordings show.
         least_since_s: least time over which a change tells of the drift, s.
         mean_ns: time on either side whose readings of a gyro are averaged, ns.
         gyro_error: standard deviation of a difference of two such means, rad/s.
         gyro_fresh_ns: largest age of the newest reading where the gyro alone tells the motion, ns.
-        live_gap: variance of w where readings end at a mean's middle, (rad/s)^2.
+        live_gap: variance of w by the gap after readings that end at a mean's middle, (rad/s)^2: as
+            much is usual, and not added.
     """
 
     longest_ns: int = 600_000_000

@@ -121,7 +121,8 @@ class Window:
 class WindowPolicy:
     """How a stream is cut into windows: by time, or with count > 0 by events.
 
-    With max_displacement_px > 0 they are the longest that may be; motion_windows.py shortens them.
+    With max_displacement_px > 0 they are the longest that may be: core.lattice.motion_windows
+    shortens them.
 
     Raises:
         InputError: a count_stride above count, which would leave gaps.
