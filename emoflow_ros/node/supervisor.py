@@ -32,9 +32,8 @@ from emoflow_ros.node.worker_process import SliceFeed, WorkerDiedError, WorkerPr
 FACTORY = "emoflow_ros.factory:make_estimator"
 STARTING = "the worker is starting"
 _NEEDED_TO_WARM_UP = (
-    "emoflow_ros.core.lattice.estimator",
-    "emoflow_ros.core.products.present_motion",
-)
+    "emoflow_ros.core.lattice.estimator", "emoflow_ros.core.products.present_motion",
+)  # fmt: skip
 
 _IDLE_S = 0.1
 _LONGEST_PAUSE_S = 10.0

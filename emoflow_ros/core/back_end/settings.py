@@ -30,10 +30,9 @@ class BackEndSettings:
             successive windows overlap.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
-        refuted: distance of the lattice's angular velocity from the adjusted one in standard
-            deviations, `lattice_sd_deg` included, and
-        refuting_cost: mean robust cost of an observation over `expected_cost`. Beyond both the
-            memory is forgotten: a motion has begun at once.
+        refuted, refuting_cost: distance of the lattice's angular velocity from the adjusted one in
+            standard deviations, `lattice_sd_deg` included, and mean robust cost of an observation
+            over `expected_cost`. Beyond both the memory is forgotten: a motion has begun at once.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         rotation_windows: adjustments over whose mean that is decided.
         surely_translates: cost per patch from which that is checked now and then only.
