@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
-from emoflow_ros.core.back_end.scene import Grid, depths_now, expected_places, rigid_flow
+from emoflow_ros.core.back_end.scene import (
+    Grid,
+    deformations,
+    depths_now,
+    expected_places,
+    rigid_flow,
+)
 from emoflow_ros.core.back_end.search import best, rotating, starts
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import (
@@ -151,13 +157,19 @@ class Odometry:
 
     def _carried_on(self, state: State, hint: Hint, seconds: float) -> State:
         """Add a node; before the first adjustment with the lattice's motion."""
-        x = state.x
+        x, patches = state.x, state.patches
         assert x is not None
         if state.adjusted is None:
             x = x._replace(angular=x.angular.copy(), velocity=x.velocity.copy())
             x.angular[-1] = hint.angular
             x.velocity[-1] = x.rotation[-1] @ hint.direction * self.back.start_speed
-        return replace(state, x=carried_on(x, seconds))
+        followed = patches.followed(self.front.patience)
+        some = patches.at(followed)
+        depths = depths_now(some, x, self.back.depths)
+        x = carried_on(x, seconds)
+        shape = patches.shape.copy()
+        shape[followed] = deformations(self.camera, some.place, x, depths) @ some.shape
+        return replace(state, x=x, patches=replace(patches, shape=shape))
 
     def _draw(
         self, state: State, events: SliceEvents, hint: Hint, place: Array | None

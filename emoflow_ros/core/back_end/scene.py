@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
-from emoflow_ros.core.front_end.patches import Patches
+from emoflow_ros.core.front_end.patches import Patches, looked_up
 from emoflow_ros.core.front_end.slices import GRID_PX, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import motion_matrices
@@ -18,6 +18,7 @@ F32 = NDArray[np.float32]
 # The wide ones count where no patch is near.
 _SPREADS = ((1.0, 1.0), (3.0, 0.03), (10.0, 0.003))
 _NEAREST = 0.05  # least depth over that of the anchor
+_MOST_GROWTH = 0.5  # of a patch's area from node to node
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,34 @@ def expected_places(camera: Camera, patches: Patches, x: Unknowns) -> Array:
     points = _points(patches, x, depths, np.full(len(patches), len(x.position) - 1))
     points[:, 2] = np.maximum(points[:, 2], _NEAREST)
     return camera.project(points)
+
+
+def deformations(camera: Camera, place: Array, x: Unknowns, depths: Array) -> Array:
+    """What the way from the last but one node to the newest makes of patches, (N, 2, 2).
+
+    Offsets (x, y) px within a patch are multiplied by it. Patches face the camera; those off the
+    image, and those that would change beyond recognition, keep their shape.
+
+    Args:
+        camera: of the tracking image.
+        place: (N, 2) px of the patches at the last but one node.
+        x: motion of the nodes.
+        depths: (N,) inverse depths at the last but one node; NaN where unknown.
+    """
+    seen, jacobian = looked_up(camera, place)
+    turn = x.rotation[-1].T @ x.rotation[-2]
+    way = x.rotation[-1].T @ (x.position[-2] - x.position[-1])
+    rho = np.where(np.isfinite(depths), depths, 1.0)[:, None]
+    to = seen @ turn[:, :2].T + turn[:, 2] + rho * way
+    ahead = to[:, 2] > _NEAREST  # not where it is NaN
+    to = np.where(ahead[:, None], to, [0.0, 0.0, 1.0])
+    plane = to[:, :2] / to[:, 2:]
+    on_plane = (turn[:2, :2] - plane[:, :, None] * turn[2, :2]) / to[:, 2, None, None]
+    _, back = looked_up(camera, camera.project(np.pad(plane, ((0, 0), (0, 1)), constant_values=1)))
+    with np.errstate(invalid="ignore"):
+        found = np.linalg.inv(np.where(np.isfinite(back), back, np.eye(2))) @ on_plane @ jacobian
+        known = ahead & (np.abs(np.linalg.det(found) - 1) < _MOST_GROWTH)
+    return np.where(known[:, None, None], found, np.eye(2))
 
 
 def _points(patches: Patches, x: Unknowns, depths: Array, node: NDArray[np.int64]) -> Array:

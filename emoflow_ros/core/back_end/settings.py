@@ -62,7 +62,7 @@ class BackEndSettings:
     angular_walk_deg: float = 40.0
     velocity_walk: float = 1.5
     learning: float = 0.3
-    learnt_excess: float = 2.0
+    learnt_excess: float = 1.4
     angular_walks_deg: tuple[float, float] = (10.0, 400.0)
     velocity_walks: tuple[float, float] = (0.3, 5.0)
     speed_sd: float = 2.0

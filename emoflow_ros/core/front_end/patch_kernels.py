@@ -12,6 +12,7 @@ F64 = NDArray[np.float64]
 
 # Share of the larger information below which the smaller one may be chance: an edge.
 EDGE = 0.15
+UNSEEN_PX = 0.2  # that a deformation moves a patch's border by, and need not be drawn
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -28,6 +29,39 @@ def cut(image: F32, points: F64, radius: int) -> F32:
     out = np.zeros((len(points), side, side), np.float32)
     for n in range(len(points)):
         _sample(image, points[n, 0] - radius, points[n, 1] - radius, out[n])
+    return out
+
+
+@_compiled
+def deformed(patches: F32, shapes: F64) -> F32:
+    """Draw patches (N, side, side) as they look once their offsets are multiplied by shapes.
+
+    Args:
+        patches: as they were; beyond their border the border's values go on.
+        shapes: (N, 2, 2), of a determinant above zero.
+    """
+    out = np.empty_like(patches)
+    side = patches.shape[1]
+    radius = side // 2
+    last = side - 1.001
+    one = np.float32(1)
+    for n in range(len(patches)):
+        det = shapes[n, 0, 0] * shapes[n, 1, 1] - shapes[n, 0, 1] * shapes[n, 1, 0]
+        a, b = shapes[n, 1, 1] / det, -shapes[n, 0, 1] / det
+        c, d = -shapes[n, 1, 0] / det, shapes[n, 0, 0] / det
+        patch = patches[n]
+        if (abs(a - 1) + abs(b) + abs(c) + abs(d - 1)) * radius < UNSEEN_PX:
+            out[n] = patch
+            continue
+        for i in range(side):
+            for j in range(side):
+                x = min(max(a * (j - radius) + b * (i - radius) + radius, 0.0), last)
+                y = min(max(c * (j - radius) + d * (i - radius) + radius, 0.0), last)
+                u, v = int(x), int(y)
+                f, g = np.float32(x - u), np.float32(y - v)
+                upper = (one - f) * patch[v, u] + f * patch[v, u + 1]
+                lower = (one - f) * patch[v + 1, u] + f * patch[v + 1, u + 1]
+                out[n, i, j] = (one - g) * upper + g * lower
     return out
 
 

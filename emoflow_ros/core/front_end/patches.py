@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.front_end.corner_kernels import cornerness, corners, products
-from emoflow_ros.core.front_end.patch_kernels import INDEPENDENT, align, cut
+from emoflow_ros.core.front_end.patch_kernels import INDEPENDENT, align, cut, deformed
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import GRID_PX, Picture, Slice
 from emoflow_ros.core.geometry.camera import Camera
@@ -33,6 +33,7 @@ class Patches:
         born: (N,) ns, the slice of the first appearance.
         full, half: (N, side, side) first appearance at full and at half resolution.
         flow: (N, 2) px/s at that time.
+        shape: (N, 2, 2) what the motion has made of offsets in the first appearance, (x, y) px.
         place: (N, 2) px of the tracking image, where it is, or should be: off the image if unknown.
         seen: (N, K, 2) on the undistorted normalised plane.
         root: (N, K, 2, 2) square root of the information there.
@@ -45,6 +46,7 @@ class Patches:
     full: F32
     half: F32
     flow: Array
+    shape: Array
     place: Array
     seen: Array
     root: Array
@@ -63,6 +65,7 @@ class Patches:
             np.zeros((0, side, side), np.float32),
             np.zeros((0, side_half, side_half), np.float32),
             np.zeros((0, 2)),
+            np.zeros((0, 2, 2)),
             np.zeros((0, 2)),
             np.zeros((0, 0, 2)),
             np.zeros((0, 0, 2, 2)),
@@ -136,13 +139,25 @@ def flow_at(flow: F32, points: Array) -> Array:
     return np.asarray(bilinear(nodes, points, per_px))
 
 
+def agreement(patches: Patches, flow: F32, place: Array) -> Array:
+    """Cosine (N,) of the angle between flows at the first appearances and at places (N, 2) now.
+
+    A roll of the camera since then is no change of the flow.
+    """
+    first, now = np.einsum("nij,nj->ni", patches.shape, patches.flow), flow_at(flow, place)
+    lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(now, axis=1)
+    return np.asarray((first * now).sum(axis=1) / np.maximum(lengths, 1e-9))
+
+
 def follow(
     patches: Patches, picture: Slice, expected: Array, camera: Camera, settings: FrontEndSettings
 ) -> Patches:
     """Find patches again in a new slice.
 
-    A patch is looked for at half, then at full resolution, with the sign that the flow gives it:
-    an edge that goes back fires with the other polarity.
+    A patch is looked for at half, then at full resolution, in the shape that the motion has given
+    it and with the sign of the flow: an edge that goes back fires with the other polarity. Events
+    show slopes along the flow. So while it goes across its first direction another image is seen,
+    whose likeness is greatest at a wrong place.
 
     Args:
         patches: of the slices before.
@@ -151,31 +166,44 @@ def follow(
         camera: of the tracking image.
         settings: of the front end.
     """
+    count, size = len(patches), np.array(camera.size)
     place = np.where(np.isfinite(expected), expected, -1.0)
-    information = np.zeros((len(patches), 2, 2))
-    found = np.zeros(len(patches), np.bool_)
-    size = np.array(camera.size)
-    inside = ((expected > 0) & (expected < size)).all(axis=1)
-    look = np.flatnonzero(patches.followed(settings.patience) & inside)
-    if len(look):
-        begin, reach = expected[look], settings.expected_px
-        with_flow = (patches.flow[look] * flow_at(picture.flow, begin)).sum(axis=1)
-        sign = np.where(with_flow < 0, -1.0, 1.0)
-        near, _, _ = _align(
-            patches.half[look], sign, picture.half, begin / 2 - 0.25, reach / 2, _STEPS_HALF
+    seen, root, found = np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.bool_)
+    alike = agreement(patches, picture.flow, place)
+    look = patches.followed(settings.patience) & (np.abs(alike) >= settings.alike)
+    look &= ((expected > 0) & (expected < size)).all(axis=1)
+    if look.any():
+        sign = np.where(alike[look] < 0, -1.0, 1.0)
+        at, information, good = _matched(
+            patches.at(look), sign, picture, expected[look], size, settings
         )
-        near = 2 * near + 0.5
-        close = _distance(near, begin) < settings.coarse_reach_px
-        near = np.where(close[:, None], near, begin)
-        at, weight, correlation = _align(
-            patches.full[look], sign, picture.full, near, reach, _STEPS
-        )
-        good = (correlation > settings.correlation) & (_distance(at, begin) < settings.reach_px)
-        good &= ((at > settings.border_px) & (at < size - settings.border_px)).all(axis=1)
-        place[look[good]], information[look], found[look] = at[good], weight, good
-    age = (picture.t - patches.born) / NS_PER_S
-    seen, root = on_plane(camera, place, information, age, settings)
-    return patches.extended(place, seen, root, found & np.isfinite(seen).all(axis=1))
+        hit = np.flatnonzero(look)[good]
+        age = (picture.t - patches.born[hit]) / NS_PER_S
+        place[hit] = at[good]
+        seen[hit], root[hit] = on_plane(camera, at[good], information[good], age, settings)
+        found[hit] = np.isfinite(seen[hit]).all(axis=1)
+    return patches.extended(place, seen, root, found)
+
+
+def _matched(
+    patches: Patches, sign: Array, picture: Slice, expected: Array, size: Index,
+    settings: FrontEndSettings,
+) -> tuple[Array, Array, Mask]:  # fmt: skip
+    """Places (N, 2), information (N, 2, 2) and whether they count (N,), of patches of a sign."""
+    reach, shape = settings.expected_px, patches.shape
+    near, _, _ = _align(
+        deformed(patches.half, shape), sign, picture.half,
+        expected / 2 - 0.25, reach / 2, _STEPS_HALF,
+    )  # fmt: skip
+    near = 2 * near + 0.5
+    close = _distance(near, expected) < settings.coarse_reach_px
+    near = np.where(close[:, None], near, expected)
+    at, information, correlation = _align(
+        deformed(patches.full, shape), sign, picture.full, near, reach, _STEPS
+    )
+    good = (correlation > settings.correlation) & (_distance(at, expected) < settings.reach_px)
+    good &= ((at > settings.border_px) & (at < size - settings.border_px)).all(axis=1)
+    return at, information, good
 
 
 def on_plane(
@@ -224,7 +252,8 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         camera: of the tracking image.
         settings: of the front end.
     """
-    taken = patches.place[patches.followed(settings.patience)]
+    alike = np.abs(agreement(patches, picture.flow, patches.place)) >= settings.alike
+    taken = patches.place[patches.followed(settings.patience) & alike]
     most = settings.most_patches - len(taken)
     if most <= 0:
         return patches
@@ -245,6 +274,7 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         cut(picture.full.image, points, _RADIUS),
         cut(picture.half.image, points / 2 - 0.25, _RADIUS_HALF),
         flow_at(picture.flow, points),
+        np.tile(np.eye(2), (count, 1, 1)),
         points, seen, root, found, np.full(count, np.nan),
     )  # fmt: skip
     return patches.joined(new) if patches.found.shape[1] else new

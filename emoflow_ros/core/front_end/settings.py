@@ -25,6 +25,8 @@ class FrontEndSettings:
         correlation: least one of a patch that was found.
         patience: in how many slices in a row a patch may be missing: where an edge stops it fires
             no events, and fires again.
+        alike: least cosine, of either sign, of the angle between the flow and that at the first
+            appearance: events show slopes along the flow.
         expected_px: standard deviation of the place where a patch is expected, px.
         reach_px: a patch is not found further from there, px.
         coarse_reach_px: a step at half resolution is not longer, px.
@@ -44,7 +46,8 @@ class FrontEndSettings:
     most_events: int = 60_000
     own_sharpness: float = 0.97
     correlation: float = 0.5
-    patience: int = 3
+    patience: int = 5
+    alike: float = 0.5
     expected_px: float = 1.0
     reach_px: float = 7.0
     coarse_reach_px: float = 6.0

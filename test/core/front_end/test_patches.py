@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, shift
+from scipy.ndimage import affine_transform, gaussian_filter, shift
 
-from emoflow_ros.core.front_end.patches import Patches, choose, follow, looked_up, on_plane
+from emoflow_ros.core.front_end.patch_kernels import deformed
+from emoflow_ros.core.front_end.patches import (
+    Patches,
+    agreement,
+    choose,
+    follow,
+    looked_up,
+    on_plane,
+)
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
@@ -58,6 +66,58 @@ def test_a_patch_that_goes_back_has_the_other_polarity():
     assert np.median((found.place - patches.place)[found.shown], axis=0) == pytest.approx(
         [-1.0, 0.5], abs=0.02
     )
+
+
+def rolled(image: np.ndarray, degrees: float, zoom: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """The image turned and enlarged about its middle, and what that makes of offsets (x, y)."""
+    angle = np.radians(degrees)
+    shape = zoom * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    back = np.linalg.inv(shape)[::-1, ::-1]  # of (row, column)
+    middle = np.array([59.5, 79.5])
+    return affine_transform(image, back, middle - back @ middle, order=3), shape
+
+
+@pytest.mark.parametrize(("degrees", "zoom"), [(25.0, 1.0), (-40.0, 1.0), (0.0, 1.3)])
+def test_a_patch_that_was_deformed_is_found_in_its_new_shape(degrees, zoom):
+    image = texture()
+    patches = first(image)
+    patches = patches.at(np.linalg.norm(patches.place - [79.5, 59.5], axis=1) < 30)
+    later, shape = rolled(image, degrees, zoom)
+    flow = tuple(shape @ [10.0, 0.0])
+    expected = [79.5, 59.5] + (patches.place - [79.5, 59.5]) @ shape.T
+    shapes = np.tile(shape, (len(patches), 1, 1))
+
+    def errors(patches: Patches) -> np.ndarray:
+        found = follow(patches, slice_of(later, 10**7, flow), expected, CAMERA, SETTINGS)
+        return np.where(found.shown, np.linalg.norm(found.place - expected, axis=1), 9.0)
+
+    assert np.median(errors(replace(patches, shape=shapes))) < 0.1
+    assert np.median(errors(patches)) > 0.4  # as it was
+
+
+def test_shapes_are_drawn_by_multiplying_offsets():
+    y, x = np.mgrid[-12:13, -12:13].astype(np.float32)
+    shape = np.array([[0.9, 0.2], [-0.1, 1.1]])
+    (drawn,) = deformed((3 * x + 5 * y)[None], shape[None])
+    before = np.linalg.inv(shape) @ np.stack([x.ravel(), y.ravel()])
+    inside = (np.abs(before) < 11.9).all(axis=0)
+    assert drawn.ravel()[inside] == pytest.approx((3 * before[0] + 5 * before[1])[inside], abs=1e-3)
+    (same,) = deformed((x * y)[None], np.eye(2)[None])
+    assert (same == x * y).all()
+
+
+def test_a_patch_is_not_looked_for_while_the_flow_goes_across_its_first_direction():
+    image = texture()
+    patches = first(image)
+    across = slice_of(image, 10**7, flow=(2.0, 10.0))
+    assert agreement(patches, across.flow, patches.place) == pytest.approx(0.196, abs=1e-3)
+    found = follow(patches, across, patches.place, CAMERA, SETTINGS)
+    assert not found.shown.any()
+    again = choose(across, found, CAMERA, SETTINGS)
+    assert again.shown.sum() > 0.8 * len(patches)  # new ones take their places
+    rolled_by_a_quarter = np.tile([[0.0, -1.0], [1.0, 0.0]], (len(patches), 1, 1))
+    turned = replace(patches, shape=rolled_by_a_quarter)
+    assert agreement(turned, across.flow, patches.place) == pytest.approx(0.981, abs=1e-3)
 
 
 def test_another_texture_is_not_found():
@@ -149,8 +209,8 @@ def test_a_slice_between_others_is_forgotten_without_moving_depths():
     assert (kept.seen == patches.seen[:, [0, 2]]).all()
 
 
-@pytest.mark.parametrize("missing", [1, 3, 4])
-def test_a_patch_is_waited_for_three_slices_long(missing):
+@pytest.mark.parametrize("missing", [1, 5, 6])
+def test_a_patch_is_waited_for_five_slices_long(missing):
     image = texture()
     patches = first(image)
     for k in range(missing):
