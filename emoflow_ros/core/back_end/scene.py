@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
-from emoflow_ros.core.front_end.patches import Patches, looked_up
+from emoflow_ros.core.front_end.bearings import looked_up
+from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.front_end.slices import GRID_PX, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import motion_matrices
@@ -113,8 +114,9 @@ def expected_places(camera: Camera, patches: Patches, x: Unknowns) -> Array:
 def deformations(camera: Camera, place: Array, x: Unknowns, depths: Array) -> Array:
     """What the way from the last but one node to the newest makes of patches, (N, 2, 2).
 
-    Offsets (x, y) px within a patch are multiplied by it. Patches face the camera; those off the
-    image, and those that would change beyond recognition, keep their shape.
+    Offsets (x, y) px within a patch are multiplied by it. Patches face the camera. It is the
+    identity for those that are, or come, off the image or behind the camera, and for those whose
+    area would change by half.
 
     Args:
         camera: of the tracking image.
@@ -131,10 +133,12 @@ def deformations(camera: Camera, place: Array, x: Unknowns, depths: Array) -> Ar
     to = np.where(ahead[:, None], to, [0.0, 0.0, 1.0])
     plane = to[:, :2] / to[:, 2:]
     on_plane = (turn[:2, :2] - plane[:, :, None] * turn[2, :2]) / to[:, 2, None, None]
-    _, back = looked_up(camera, camera.project(np.pad(plane, ((0, 0), (0, 1)), constant_values=1)))
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+    arrived, back = looked_up(camera, camera.project(rays))
     with np.errstate(invalid="ignore"):
         found = np.linalg.inv(np.where(np.isfinite(back), back, np.eye(2))) @ on_plane @ jacobian
-        known = ahead & (np.abs(np.linalg.det(found) - 1) < _MOST_GROWTH)
+        known = ahead & np.isfinite(arrived).all(axis=1)
+        known &= np.abs(np.linalg.det(found) - 1) < _MOST_GROWTH
     return np.where(known[:, None, None], found, np.eye(2))
 
 

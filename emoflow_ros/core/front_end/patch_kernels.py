@@ -36,6 +36,8 @@ def cut(image: F32, points: F64, radius: int) -> F32:
 def deformed(patches: F32, shapes: F64) -> F32:
     """Draw patches (N, side, side) as they look once their offsets are multiplied by shapes.
 
+    Where that moves the border by less than UNSEEN_PX they stay as they are.
+
     Args:
         patches: as they were; beyond their border the border's values go on.
         shapes: (N, 2, 2), of a determinant above zero.

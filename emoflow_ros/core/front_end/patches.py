@@ -5,8 +5,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.front_end.bearings import looked_up, on_plane
 from emoflow_ros.core.front_end.corner_kernels import cornerness, corners, products
-from emoflow_ros.core.front_end.patch_kernels import INDEPENDENT, align, cut, deformed
+from emoflow_ros.core.front_end.patch_kernels import align, cut, deformed
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import GRID_PX, Picture, Slice
 from emoflow_ros.core.geometry.camera import Camera
@@ -33,7 +34,8 @@ class Patches:
         born: (N,) ns, the slice of the first appearance.
         full, half: (N, side, side) first appearance at full and at half resolution.
         flow: (N, 2) px/s at that time.
-        shape: (N, 2, 2) what the motion has made of offsets in the first appearance, (x, y) px.
+        shape: (N, 2, 2) what the motion, as it was expected from slice to slice, has made of
+            offsets (x, y) px in the first appearance.
         place: (N, 2) px of the tracking image, where it is, or should be: off the image if unknown.
         seen: (N, K, 2) on the undistorted normalised plane.
         root: (N, K, 2, 2) square root of the information there.
@@ -140,13 +142,20 @@ def flow_at(flow: F32, points: Array) -> Array:
 
 
 def agreement(patches: Patches, flow: F32, place: Array) -> Array:
-    """Cosine (N,) of the angle between flows at the first appearances and at places (N, 2) now.
+    """Cosine (N,) of the angle between the flow at the first appearance and the one now.
 
-    A roll of the camera since then is no change of the flow.
+    The former turns with the patch: a roll of the camera is no change of the flow. 1 where either
+    is zero.
+
+    Args:
+        patches: N of them.
+        flow: (rows, columns, 2) px/s of the newest slice.
+        place: (N, 2) px, where the patches are in it.
     """
     first, now = np.einsum("nij,nj->ni", patches.shape, patches.flow), flow_at(flow, place)
     lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(now, axis=1)
-    return np.asarray((first * now).sum(axis=1) / np.maximum(lengths, 1e-9))
+    product = (first * now).sum(axis=1)
+    return np.asarray(np.where(lengths > 0, product / np.maximum(lengths, 1e-9), 1.0))
 
 
 def follow(
@@ -156,8 +165,8 @@ def follow(
 
     A patch is looked for at half, then at full resolution, in the shape that the motion has given
     it and with the sign of the flow: an edge that goes back fires with the other polarity. Events
-    show slopes along the flow. So while it goes across its first direction another image is seen,
-    whose likeness is greatest at a wrong place.
+    show slopes along the flow. So while the flow goes across its direction at the first appearance
+    (`alike`) there is another image, whose likeness is greatest at a wrong place.
 
     Args:
         patches: of the slices before.
@@ -206,45 +215,10 @@ def _matched(
     return at, information, good
 
 
-def on_plane(
-    camera: Camera, place: Array, information: Array, age: Array, settings: FrontEndSettings
-) -> tuple[Array, Array]:
-    """Bring positions (N, 2) px and their information (N, 2, 2) to the normalised plane.
-
-    Neighbouring pixels' residuals go together, so that only a share of the information counts; and
-    appearance changes with the time since the first one, age (N,) s.
-
-    Returns:
-        (N, 2) bearings, NaN where the lens has none, and (N, 2, 2) square roots of the information.
-    """
-    seen, jacobian = looked_up(camera, place)
-    value, vector = np.linalg.eigh(information)
-    noise = settings.noise_px**2 * (1 + settings.ageing * age)
-    variance = 1 / np.maximum(INDEPENDENT * value, 1e-6) + noise[:, None]
-    root = (vector / np.sqrt(variance)[:, None, :]).transpose(0, 2, 1)
-    return seen, root @ np.linalg.inv(np.where(np.isfinite(jacobian), jacobian, np.eye(2)))
-
-
-def looked_up(camera: Camera, place: Array) -> tuple[Array, Array]:
-    """Bearings (N, 2) and flow Jacobians (N, 2, 2) at places (N, 2) px, off the camera's maps.
-
-    Quicker than `Camera.undistort`. Linear between whole pixels; NaN off the image and where the
-    lens has no inverse.
-    """
-    low = np.floor(np.nan_to_num(place, nan=-1.0)).astype(np.int64)
-    inside = ((low >= 0) & (low < np.array(camera.size) - 1)).all(axis=1)
-    low = np.where(inside[:, None], low, 0)
-    x, y = (place - low).T[..., None]
-    column, row = low.T
-    maps = camera.bearings
-    above = (1 - x) * maps[row, column] + x * maps[row, column + 1]
-    below = (1 - x) * maps[row + 1, column] + x * maps[row + 1, column + 1]
-    bearing = np.where(inside[:, None], (1 - y) * above + y * below, np.nan)
-    return bearing, camera.flow_jacobian[row, column].astype(np.float64)
-
-
 def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndSettings) -> Patches:
-    """Choose new patches where a slice has structure and none is followed, and add them.
+    """Choose new patches where a slice has structure and none is looked for, and add them.
+
+    Where the flow has turned they come beside the old ones, which wait for it to turn back.
 
     Args:
         picture: the newest slice.
@@ -253,7 +227,7 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         settings: of the front end.
     """
     alike = np.abs(agreement(patches, picture.flow, patches.place)) >= settings.alike
-    taken = patches.place[patches.followed(settings.patience) & alike]
+    taken = patches.place[patches.shown | (patches.followed(settings.patience) & alike)]
     most = settings.most_patches - len(taken)
     if most <= 0:
         return patches

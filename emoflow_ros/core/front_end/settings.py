@@ -23,15 +23,15 @@ class FrontEndSettings:
         own_sharpness: sharpness of a slice drawn along the remembered scene's flow, over that
             along the lattice's, from which the former is taken.
         correlation: least one of a patch that was found.
-        patience: in how many slices in a row a patch may be missing: where an edge stops it fires
-            no events, and fires again.
+        patience: in how many of the newest nodes a patch may be missing: where an edge stops it
+            fires no events, and fires again.
         alike: least cosine, of either sign, of the angle between the flow and that at the first
             appearance: events show slopes along the flow.
         expected_px: standard deviation of the place where a patch is expected, px.
         reach_px: a patch is not found further from there, px.
         coarse_reach_px: a step at half resolution is not longer, px.
         border_px: of the image, where patches would be cut off, px.
-        most_patches, distance_px: how many, and how far apart, px.
+        most_patches, distance_px: how many, and how far apart, px; more while the flow turns.
         edge_share: of the structure tensor's trace in the score of a patch: edges count, too.
         least_score: of a patch over the 99.5 % quantile of the scores.
         noise_px: of a place, however sharp the edges, px: rounding to pixels.

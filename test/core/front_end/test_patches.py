@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import affine_transform, gaussian_filter, shift
 
+from emoflow_ros.core.front_end.bearings import looked_up, on_plane
 from emoflow_ros.core.front_end.patch_kernels import deformed
 from emoflow_ros.core.front_end.patches import (
     Patches,
     agreement,
     choose,
     follow,
-    looked_up,
-    on_plane,
 )
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, grid_nodes
@@ -115,9 +114,31 @@ def test_a_patch_is_not_looked_for_while_the_flow_goes_across_its_first_directio
     assert not found.shown.any()
     again = choose(across, found, CAMERA, SETTINGS)
     assert again.shown.sum() > 0.8 * len(patches)  # new ones take their places
+    back = slice_of(-image, 2 * 10**7, flow=(-10.0, 0.0))
+    returned = follow(found, back, patches.place, CAMERA, SETTINGS)
+    assert returned.shown.mean() > 0.9
     rolled_by_a_quarter = np.tile([[0.0, -1.0], [1.0, 0.0]], (len(patches), 1, 1))
     turned = replace(patches, shape=rolled_by_a_quarter)
     assert agreement(turned, across.flow, patches.place) == pytest.approx(0.981, abs=1e-3)
+
+
+@pytest.mark.parametrize(("degrees", "seen"), [(55, 1.0), (65, 0.0), (115, 0.0), (125, 1.0)])
+def test_a_patch_waits_between_60_and_120_degrees(degrees, seen):
+    image = texture()
+    patches = first(image)
+    angle = np.radians(degrees)
+    sign = 1 if degrees < 90 else -1
+    turned = slice_of(sign * image, 10**7, flow=(20 * np.cos(angle), 20 * np.sin(angle)))
+    found = follow(patches, turned, patches.place, CAMERA, SETTINGS)
+    assert found.shown.mean() == pytest.approx(seen, abs=0.1)
+
+
+def test_without_a_flow_patches_are_looked_for():
+    image = texture()
+    patches = first(image)
+    still = slice_of(image, 10**7, flow=(0.0, 0.0))
+    assert follow(patches, still, patches.place, CAMERA, SETTINGS).shown.mean() > 0.9
+    assert len(choose(still, patches, CAMERA, SETTINGS)) < 1.1 * len(patches)
 
 
 def test_another_texture_is_not_found():
@@ -210,7 +231,7 @@ def test_a_slice_between_others_is_forgotten_without_moving_depths():
 
 
 @pytest.mark.parametrize("missing", [1, 5, 6])
-def test_a_patch_is_waited_for_five_slices_long(missing):
+def test_a_patch_is_waited_for_five_nodes_long(missing):
     image = texture()
     patches = first(image)
     for k in range(missing):
