@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -57,12 +58,28 @@ class Collected:
         twist_arrivals: monotonic time in s by stamp, of the same.
         present_arrivals: the same of the latest twists.
         event_arrivals: (time of the message's last event in ns, monotonic time in s).
+        least_share: of their events that the node estimated windows with.
     """
 
     twists: dict[int, tuple[Vector, Vector]] = field(default_factory=dict)
     twist_arrivals: dict[int, float] = field(default_factory=dict)
     present_arrivals: dict[int, float] = field(default_factory=dict)
     event_arrivals: list[tuple[int, float]] = field(default_factory=list)
+    least_share: float = 1.0
+
+    def note_share(self, message: DiagnosticArray) -> None:
+        """Note the share of the events that the node's diagnostics tell."""
+        told = (value for status in message.status for value in status.values)
+        shares = [float(value.value) for value in told if value.key == "events_share"]
+        self.least_share = min([self.least_share, *shares])
+
+    @property
+    def remark(self) -> str:
+        """Why twists may differ from evaluate's: the node was late; else empty."""
+        if self.least_share == 1.0:
+            return ""
+        share = f"{100 * self.least_share:.0f} %"
+        return f"the node was late: some windows had {share} of their events, unlike evaluate's"
 
     def latency_ms(self, stamp: int, t_end: int) -> float:
         """Time from the event that completed the window to the twist; NaN if one is missing."""
@@ -119,6 +136,7 @@ class _Subscriber(Node):
             TwistWithCovarianceStamped, "/egomotion/twist_with_covariance", self._take_twist, 100
         )
         self.create_subscription(TwistStamped, "/egomotion/twist", self._take_present, 1000)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.collected.note_share, 100)
         # Replay starts with the first subscriber, and that shall be the node.
         self._wait = self.create_timer(0.02, self._follow_the_node)
 
@@ -217,6 +235,8 @@ def _show(collected: Collected, estimates: Estimates, truth: Truth, folder: Path
         f"\n{arrived} of {expected} twists came over DDS; largest difference from evaluate: "
         f"{np.degrees(max(differences)):.4f} deg/s"
     )
+    if collected.remark:
+        print(collected.remark)
     print("ms: from the event that completes a window to the arrival of its twist")
     if ages := collected.present_ages_ms():  # none where windows wait so long as to be of the past
         print(
