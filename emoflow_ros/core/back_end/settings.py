@@ -70,8 +70,8 @@ class BackEndSettings:
     depths: tuple[float, float] = (0.01, 20.0)
     lattice_sd_deg: float = 1.5
     lattice_outlier: float = 20.0
-    refuted: float = 6.0
-    refuting_cost: float = 1.5
+    refuted: float = 9.0
+    refuting_cost: float = 1.3
     rotation_cost: float = 1.25
     rotation_windows: int = 3
     surely_translates: float = 3.75
