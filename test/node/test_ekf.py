@@ -136,7 +136,7 @@ def test_a_filter_comes_nearer_to_the_truth_than_the_stream(
 
 @pytest.mark.xfail(
     strict=True,
-    reason="the memory has smoothed the stream already: 0.951, 6 of 10; some directions have the "
+    reason="the memory has smoothed the stream already: 0.973, 6 of 10; some directions have the "
     "wrong sign, which no filter mends",
 )
 def test_a_filter_comes_nearer_by_five_percent_and_in_the_direction_too(
