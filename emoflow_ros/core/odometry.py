@@ -164,11 +164,11 @@ class Odometry:
             x.angular[-1] = hint.angular
             x.velocity[-1] = x.rotation[-1] @ hint.direction * self.back.start_speed
         followed = patches.followed(self.front.patience)
-        some = patches.at(followed)
-        depths = depths_now(some, x, self.back.depths)
+        depths = depths_now(patches, x, self.back.depths)[followed]
         x = carried_on(x, seconds)
-        shape = patches.shape.copy()
-        shape[followed] = deformations(self.camera, some.place, x, depths) @ some.shape
+        place, shape = patches.place[followed], patches.shape.copy()
+        by_way = deformations(self.camera, place, x, depths, self.back.most_growth)
+        shape[followed] = by_way @ shape[followed]
         return replace(state, x=x, patches=replace(patches, shape=shape))
 
     def _draw(

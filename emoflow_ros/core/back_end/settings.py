@@ -26,6 +26,8 @@ class BackEndSettings:
         speed_sd: standard deviation of each component of the velocity, 1/s.
         depth_sd: of an inverse depth around the mean one.
         depths: least and largest inverse depth.
+        most_growth: share of a patch's area that it may change by from node to node: else its depth
+            is not believed.
         lattice_sd_deg: added to the covariance of the lattice's angular velocity, deg/s:
             successive windows overlap.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
@@ -68,6 +70,7 @@ class BackEndSettings:
     speed_sd: float = 2.0
     depth_sd: float = 2.0
     depths: tuple[float, float] = (0.01, 20.0)
+    most_growth: float = 0.5
     lattice_sd_deg: float = 1.5
     lattice_outlier: float = 20.0
     refuted: float = 9.0

@@ -8,12 +8,7 @@ from scipy.ndimage import affine_transform, gaussian_filter, shift
 
 from emoflow_ros.core.front_end.bearings import looked_up, on_plane
 from emoflow_ros.core.front_end.patch_kernels import deformed
-from emoflow_ros.core.front_end.patches import (
-    Patches,
-    agreement,
-    choose,
-    follow,
-)
+from emoflow_ros.core.front_end.patches import Patches, agreement, choose, follow
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
