@@ -159,7 +159,8 @@ class RememberingEstimator:
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
     def _measured(self, found: Estimate) -> Measured:
-        spread = np.radians(self._odometry.back.lattice_sd_deg)
+        back, by_gyro = self._odometry.back, found.gyro.state is GyroState.USED
+        spread = np.radians(back.gyro_sd_deg if by_gyro else back.lattice_sd_deg)
         variance = max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + spread**2
         return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
 
@@ -180,8 +181,8 @@ class RememberingEstimator:
         if adjusted.translates and speed > 0:
             across = np.eye(6)
             linear = motion.linear / speed
-            side = np.eye(3) - np.outer(linear, linear)
-            across[:3, :3] = np.sqrt(back.direction_excess) / speed * side
+            covariance[:3, :3] += back.leakage**2 * float(angular @ angular) * np.eye(3)
+            across[:3, :3] = (np.eye(3) - np.outer(linear, linear)) / speed
             covariance = across @ covariance @ across.T
             if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
                 model = MotionModel.FULL
@@ -202,7 +203,7 @@ class RememberingEstimator:
         )
         settled = (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s
         refined = estimate
-        if settled and not by_gyro:
+        if settled:
             refined = self._refine(estimate, self._depths(state, speed, estimate))
         if isinstance(refined.flow, LatticeFlow):
             refined = replace(refined, flow=self._bent(refined.flow, told))

@@ -60,9 +60,10 @@ def covariance_factor(
         revision: mean of Revisions.
         settings: of the back end.
     """
-    misfit = max(mean_cost, settings.least_cost) / max(shown, settings.fewest_shown)
+    misfit = max(mean_cost, settings.least_cost)
+    few = 1 / float(np.sqrt(max(shown, settings.fewest_shown)))
     apart = 1 + _squared(measured - motion.angular, motion)
-    return settings.excess * float(np.sqrt(misfit)) * apart * revision
+    return settings.excess * misfit * few * apart * revision
 
 
 def _squared(change: Array, motion: MotionAt) -> float:

@@ -28,8 +28,8 @@ class BackEndSettings:
         depths: least and largest inverse depth.
         most_growth: share of a patch's area that it may change by from node to node: else its depth
             is not believed.
-        lattice_sd_deg: added to the covariance of the lattice's angular velocity, deg/s:
-            successive windows overlap.
+        lattice_sd_deg, gyro_sd_deg: added to the covariance of the lattice's angular velocity, and
+            of a gyro's, deg/s: successive windows overlap, and share their errors.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
         refuted, refuting_cost: distance of the lattice's angular velocity from the adjusted one in
@@ -45,7 +45,8 @@ class BackEndSettings:
         expected_cost: mean robust cost of an observation where the covariance is right.
         least_cost: over that: fewer errors than expected are not believed.
         excess: factor on the covariance (core.back_end.consistency).
-        direction_excess: factor on that of the direction of translation besides.
+        leakage: standard deviation of the velocity per rad/s of rotation, besides: neither places
+            nor the calibration are exact, and a share of a rotation is taken for travel.
         fewest_shown: patches that are counted at least there.
         revision_share: of the newest revision in their mean.
         usual_revision, most_revision: before the first one, and at most.
@@ -72,6 +73,7 @@ class BackEndSettings:
     depths: tuple[float, float] = (0.01, 20.0)
     most_growth: float = 0.5
     lattice_sd_deg: float = 1.5
+    gyro_sd_deg: float = 0.6
     lattice_outlier: float = 20.0
     refuted: float = 9.0
     refuting_cost: float = 1.3
@@ -85,7 +87,7 @@ class BackEndSettings:
     expected_cost: float = 0.25
     least_cost: float = 0.6
     excess: float = 50.0
-    direction_excess: float = 2.0
+    leakage: float = 0.01
     fewest_shown: int = 5
     revision_share: float = 0.1
     usual_revision: float = 0.1

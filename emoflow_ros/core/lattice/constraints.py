@@ -153,55 +153,6 @@ def add_structure(
     add_rows(by_flow, by_motion, weight, r, vector, band, border, corner, corner_vector)
 
 
-@_compiled
-def best_motion(
-    flow: F64, evidence: F64, a: F64, b: F64, start: F64, soft: float, inlier: float,
-    reweightings: int,
-) -> tuple[F64, F64, F64]:  # fmt: skip
-    """Fit a constant motion to a flow: robust least squares in the DEC.
-
-    Args:
-        flow: (nodes, 2) px per window.
-        evidence: (nodes, 2, 2) inverse covariance of the flow; zero where it does not count.
-        start: (3,) unit v to begin with, and w = 0.
-        inlier: px per window, of the Geman-McClure weights.
-        reweightings: least squares solutions.
-        a, b, soft: as in `across_lines`.
-
-    Returns:
-        w (3,), v (3,) unit, and the information (6, 6) on both; v's length counts as known.
-    """
-    nodes = len(flow)
-    r, normal, rows = np.empty((nodes, 1)), np.empty((nodes, 1, 2)), np.empty((nodes, 1, 7))
-    flow_once = np.expand_dims(flow, 1)
-    w, v, matrix = np.zeros((1, 3)), start.copy().reshape(1, 3), np.eye(6)
-    for _ in range(reweightings):
-        across_lines(flow_once, a, b, w, v, soft, r, normal, rows)
-        matrix, vector = np.zeros((6, 6)), np.zeros(6)
-        for n in range(nodes):
-            x, y = normal[n, 0, 0], normal[n, 0, 1]
-            known = x * x * evidence[n, 0, 0] + y * y * evidence[n, 1, 1]
-            known += 2 * x * y * evidence[n, 0, 1]
-            weight = known * _robust_weight(r[n, 0], inlier)
-            for i in range(6):
-                weighted = weight * rows[n, 0, i]
-                vector[i] -= weighted * r[n, 0]
-                for j in range(6):
-                    matrix[i, j] += weighted * rows[n, 0, j]
-        stiffness = matrix[3, 3] + matrix[4, 4] + matrix[5, 5]
-        for i in range(3):
-            for j in range(3):
-                matrix[3 + i, 3 + j] += stiffness * v[0, i] * v[0, j]  # v's length is unknown
-        ridge = 1e-9 * np.trace(matrix) + 1e-12
-        for i in range(6):
-            matrix[i, i] += ridge
-        step = np.linalg.solve(matrix, vector)
-        w[0] += step[:3]
-        v[0] += step[3:]
-        v[0] /= np.sqrt(v[0] @ v[0])
-    return w[0], v[0], matrix
-
-
 @_inlined
 def _split(
     flow: F64, a: F64, b: F64, turn: F64, heading: F64, soft: float

@@ -208,37 +208,6 @@ class NodeEpipolar:
     def _counted(self, information: Array) -> Array:
         return self.usable[:, None, None] * information
 
-    def refine(self, flow: Array, information: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Fit a constant motion to a flow from a direction on: robust least squares.
-
-        Args:
-            flow, information: as in `search`.
-            v: (3,) unit direction to start from.
-
-        Returns:
-            w (3,) rad per window, v (3,) unit, and the information (6, 6) on both; v's length,
-            which nobody knows, counts as known.
-        """
-        found: tuple[Array, Array, Array] = constraints.best_motion(
-            flow, self._counted(information), self.a, self.b, v, self.soft, self.inlier_px,
-            LATTICE.reweightings,
-        )  # fmt: skip
-        return found
-
-    def rotating(self, flow: Array, information: Array, v: Array) -> float:
-        """Measure by Wald's statistic whether the camera rotates at all.
-
-        Args:
-            flow, information, v: as in `refine`.
-
-        Returns:
-            w^T C^-1 w / 3 with the covariance C of the fitted w, v unknown: 1 on average for a
-            camera that does not rotate.
-        """
-        w, _, matrix = self.refine(flow, information, v)
-        of_w = matrix[:3, :3] - matrix[:3, 3:] @ np.linalg.solve(matrix[3:, 3:], matrix[3:, :3])
-        return float(w @ of_w @ w) / 3
-
     def _line_fields(self, v: Array) -> Array:
         """Epipolar lines for directions v (M, 3), (M, nodes, 2)."""
         return np.tensordot(v, self.a, axes=(1, 2))

@@ -137,7 +137,6 @@ class LatticeEstimator:
             rotated = fit.rotated(np.zeros(self.lattice.shape, np.float32), np.zeros(3))
             fit.flow = best_start(fit.contrasts[0.25], events, [constant, rotated])
         fit.motion = fit.structure = None
-        fit.straight = False
         for scale, steps in ((0.25, 5), (0.5, 4), (1.0, 3)):
             for _ in range(steps):
                 fit.linearise(events, scale)
@@ -247,7 +246,6 @@ class LatticeEstimator:
             after = self._selector.model = MotionModel(self.config.model)
         agreement = self._selector.agreement
         self._fit.front = float(np.sign(agreement)) if abs(agreement) > LATTICE.on_one_side else 0.0
-        self._fit.straight = after is MotionModel.TRANSLATION
         if after is MotionModel.ROTATION and before is not after:
             self._fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
         return after

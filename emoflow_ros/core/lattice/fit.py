@@ -29,6 +29,7 @@ from emoflow_ros.core.lattice.normal_equations import NormalEquations
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import trusted
 from emoflow_ros.core.lattice.window_events import WindowEvents
+from emoflow_ros.core.types.estimate import MotionModel
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,6 @@ class LatticeFit:
         motion: the egomotion, or None before the flow is good enough to look for it.
         structure: inverse depths known from earlier windows or of patches, or None.
         known: what a gyro says about the window's rotation, or None.
-        straight: whether the motion is a pure translation.
         front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along
             -v, 0 if that is not known.
         evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
@@ -109,7 +109,6 @@ class LatticeFit:
         self.motion: Motion | None = None
         self.structure: Structure | None = None
         self.known: KnownRotation | None = None
-        self.straight = False
         self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.step_px = 0.0
@@ -203,7 +202,7 @@ class LatticeFit:
         """What the gyro says of w, or that the camera is known not to rotate."""
         if self.known is not None:
             return self.known.mean, self.known.information / INFORMATION_EXCESS
-        if self.config.model == "translation":
+        if self.config.model == MotionModel.TRANSLATION:
             return np.zeros(3), self._of_no_turn * np.eye(3)
         return None
 
@@ -228,7 +227,7 @@ class LatticeFit:
         # v has no unit of its own: its stiffness goes by the evidence at hand.
         evidence = float(np.trace(corner[_OF_V, _OF_V])) / _POINTS
         smooth = self._smooth_rotation + evidence * self._smooth_translation
-        if self.straight:
+        if self.config.model == MotionModel.TRANSLATION:
             smooth += self._stillness
         corner += smooth
         corner_vector -= smooth @ unknowns

@@ -81,7 +81,6 @@ def refined(
     of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)
     again = copy(fit)
     again.known = KnownRotation.seen(w, of_w)
-    again.straight = False
     again.config = replace(fit.config, dec_weight=LATTICE.stiffer * fit.config.dec_weight)
     points = again.known.control_points()
     prior = None

@@ -1,4 +1,4 @@
-"""Which motion the evidence supports: rotation alone, translation alone, or both."""
+"""Whether the evidence supports a rotation alone, or travel, too."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,6 @@ class ModelSelector:
         residual_share: the same over the flow itself.
         advantage: cost of the best rotation over that of the best full motion, over what
             the freedom of the latter brings by itself; logarithm.
-        rotating: Wald's statistic of w, 1 for a camera that does not rotate.
         windows: how many have been weighed.
         model: the present decision.
     """
@@ -35,7 +34,6 @@ class ModelSelector:
     residual_px: float = 0.0
     residual_share: float = 0.0
     advantage: float = 0.0
-    rotating: float = 0.0
     model: MotionModel = MotionModel.FULL
     windows: int = 0
 
@@ -61,14 +59,12 @@ class ModelSelector:
         left = _evident_norm(free.flow - epipolar.b @ rotation.w[0], free.information)
         speed = _weighted_median(_evident_norm(free.flow, free.information), evidence)
         median = _weighted_median(left, evidence)
-        rotating = epipolar.rotating(free.flow, free.information / INFORMATION_EXCESS, v)
         past = LATTICE.forgetting if self.windows else 0.0
         for name, value in (
             ("agreement", agreement),
             ("residual_px", median),
             ("residual_share", median / max(speed, 1e-6)),
             ("advantage", float(np.log(more + 1e-12))),
-            ("rotating", rotating),
         ):
             setattr(self, name, past * getattr(self, name) + (1 - past) * value)
         self.windows += 1
@@ -85,13 +81,7 @@ class ModelSelector:
             and self.residual_share < LATTICE.rotation_share * slack
             and self.advantage < np.log(slack)
         )
-        bound = LATTICE.rotating if self.model is MotionModel.TRANSLATION else LATTICE.straight
-        if rotates:
-            self.model = MotionModel.ROTATION
-        elif self.windows >= LATTICE.settled and self.rotating < bound and free.known is None:
-            self.model = MotionModel.TRANSLATION
-        else:
-            self.model = MotionModel.FULL
+        self.model = MotionModel.ROTATION if rotates else MotionModel.FULL
         return self.model
 
 

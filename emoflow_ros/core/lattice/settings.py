@@ -64,9 +64,6 @@ class LatticeSettings:
         hysteresis, inertia: after a rotation these bounds, and that on the cost, are times the
             former; after another motion over the latter: it passes through moments that look like
             rotation.
-        straight, rotating: Wald's statistic of w up to which a camera is taken to translate only,
-            and from which no longer.
-        settled: windows after which a camera may be taken to translate only.
         lasting_px2: variance of a node's flow that more events do not reduce, px^2 per window^2: of
             depth edges and of the lattice between its nodes.
         usual_misfit: least residual cost over what lasting_px2 explains, median over windows.
@@ -139,9 +136,6 @@ class LatticeSettings:
     nothing_share: float = 0.015
     hysteresis: float = 1.25
     inertia: float = 1.5
-    straight: float = 0.7
-    rotating: float = 1.2
-    settled: int = 4
     lasting_px2: float = 0.4
     usual_misfit: float = 0.13
     least_misfit: float = 0.2

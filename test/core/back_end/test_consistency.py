@@ -22,7 +22,7 @@ def factor(cost: float = 1.0, shown: int = 100, apart: float = 0.0, revision: fl
 
 
 def test_the_covariance_grows_with_misfits_and_falls_with_the_number_of_patches():
-    assert factor(cost=4.0) == pytest.approx(2 * factor(cost=1.0))
+    assert factor(cost=4.0) == pytest.approx(4 * factor(cost=1.0))
     assert factor(cost=0.1) == factor(cost=0.2)  # fewer errors than expected are not believed
     assert factor(shown=25) == pytest.approx(2 * factor(shown=100))
     assert factor(shown=0) == factor(shown=SETTINGS.fewest_shown)

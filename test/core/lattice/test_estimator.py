@@ -156,49 +156,18 @@ def test_the_model_can_be_fixed(calm, rotation):
 
 
 def test_a_camera_known_not_to_turn_gives_its_direction_better():
-    """In warm windows; a cold one has nothing but the flow's own error to go by.
-
-    Better than an estimator that has not found out yet: from then on both do the same.
-    """
+    """In warm windows; a cold one has nothing but the flow's own error to go by."""
     run = run_of("translation")
     fixed = run.estimator(model="translation")
-    errors, found_out = [], []
+    errors = []
     for k, window in enumerate(run.windows):
         alone, full = fixed.estimate(window), run.estimates[k]
-        found_out.append(full.model is MotionModel.TRANSLATION)
-        assert alone.model is MotionModel.TRANSLATION
+        assert (alone.model, full.model) == (MotionModel.TRANSLATION, MotionModel.FULL)
         assert np.linalg.norm(alone.angular) < np.radians(0.1)
         linear, _ = run.recording.truth.twist(alone.t)
         true = linear / np.linalg.norm(linear)
         errors.append([np.degrees(np.arccos(e.linear @ true)) for e in (alone, full)])
-    assert all(alone < 5 for alone, _ in errors[1:])
-    assert found_out == [False, False, True]  # it takes four figures, of which a start gives two
-    pairs = zip(errors[1:], found_out[1:], strict=True)
-    assert all(alone < full for (alone, full), found in pairs if not found)
-
-
-def sigma_of(estimates: list[Estimate]) -> np.ndarray:
-    """Standard deviations of w, (windows, 3) deg/s."""
-    return np.degrees(np.sqrt([np.diag(e.covariance)[3:] for e in estimates]))
-
-
-def test_a_camera_that_does_not_turn_is_recognised_but_not_taken_for_certain():
-    """The rotation vanishes, and its covariance stays what the events say."""
-    run = run_of("translation", duration_s=1.2)
-    straight = [k for k, e in enumerate(run.estimates) if e.model is MotionModel.TRANSLATION]
-    assert straight
-    assert straight == list(range(straight[0], len(run.windows))) and len(straight) >= 9
-    assert all(np.linalg.norm(run.estimates[k].angular) < np.radians(0.2) for k in straight)
-    known, full = run.estimator(model="translation"), run.estimator(model="full")
-    of_known = sigma_of([known.estimate(window) for window in run.windows])[straight]
-    of_full = sigma_of([full.estimate(window) for window in run.windows])[straight]
-    sigma = sigma_of([run.estimates[k] for k in straight])
-    # 0.1 px of a window's flow at each of the spline's points.
-    assert (of_known < np.degrees(0.1 / run.recording.camera.fx / 0.09)).all()
-    assert (sigma > of_known).all() and (sigma < 10).all()
-    assert (np.linalg.norm(sigma, axis=1) > 2 * np.linalg.norm(of_known, axis=1)).all()
-    assert 0.8 < np.median(sigma / of_full) < 1.25
-    assert (sigma > 0.3 * of_full).all() and (sigma < 3.0 * of_full).all()
+    assert all(alone < min(5, full) for alone, full in errors[1:])
 
 
 def test_two_runs_are_bitwise_equal(calm):
