@@ -67,7 +67,7 @@ class State:
         patches: that are followed.
         measured: motions of windows within the nodes.
         walks: how restless the camera is.
-        costs: what a patch costs more if the camera only rotates, of the last slices.
+        saved: cost per patch that a translation saves over a rotation, where last compared.
         adjusted: of the last step; None while patches are too few.
         adjustments: how many there were.
     """
@@ -77,7 +77,7 @@ class State:
     x: Unknowns | None = None
     patches: Patches = field(default_factory=Patches.none)
     measured: tuple[Measured, ...] = ()
-    costs: tuple[float, ...] = ()
+    saved: float | None = None
     adjusted: Adjusted | None = None
     adjustments: int = 0
 
@@ -216,8 +216,8 @@ class Odometry:
         found = best(problem, begin, known, others, back)
         if found is None:
             return self.start()
-        costs = state.costs
-        sure = len(costs) == back.rotation_windows and np.mean(costs) > back.surely_translates
+        saved = state.saved
+        sure = saved is not None and saved > back.surely_translates
         skipped = sure and state.adjustments % back.check_every != 0
         rotated = None if skipped else rotating(problem, found, known, back)
         if rotated is not None and rotated.cost < found.cost:
@@ -225,8 +225,7 @@ class Odometry:
             found = best(problem, rotated.x, known, [], back) or found
         if rotated is not None:
             saved = (rotated.cost - found.cost) / len(some)
-            costs = (*costs, saved)[-back.rotation_windows :]
-            if np.mean(costs) < back.rotation_cost:
+            if saved < back.rotation_cost:
                 found = rotated
         found = _unit_depth(found)
         try:
@@ -240,7 +239,7 @@ class Odometry:
             x=found.x._replace(inverse_depth=np.zeros(0)),
             patches=replace(patches, inverse_depth=depths),
             walks=walks,
-            costs=costs,
+            saved=saved,
             adjusted=found,
             adjustments=state.adjustments + 1,
         )

@@ -36,7 +36,6 @@ class BackEndSettings:
             standard deviations, `lattice_sd_deg` included, and mean robust cost of an observation
             over `expected_cost`. Beyond both the memory is forgotten: a motion has begun at once.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
-        rotation_windows: adjustments over whose mean that is decided.
         surely_translates: cost per patch from which that is checked now and then only.
         check_every: adjustments between such checks.
         directions: of translation that are tried while the memory fills.
@@ -78,7 +77,6 @@ class BackEndSettings:
     refuted: float = 9.0
     refuting_cost: float = 1.3
     rotation_cost: float = 1.25
-    rotation_windows: int = 3
     surely_translates: float = 3.75
     check_every: int = 3
     directions: int = 18

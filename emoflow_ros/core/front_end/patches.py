@@ -205,12 +205,11 @@ def _matched(
         expected / 2 - 0.25, reach / 2, _STEPS_HALF,
     )  # fmt: skip
     near = 2 * near + 0.5
-    close = _distance(near, expected) < settings.coarse_reach_px
-    near = np.where(close[:, None], near, expected)
     at, information, correlation = _align(
         deformed(patches.full, shape), sign, picture.full, near, reach, _STEPS
     )
-    good = (correlation > settings.correlation) & (_distance(at, expected) < settings.reach_px)
+    apart = np.linalg.norm(at - expected, axis=1)
+    good = (correlation > settings.correlation) & (apart < settings.reach_px)
     good &= ((at > settings.border_px) & (at < size - settings.border_px)).all(axis=1)
     return at, information, good
 
@@ -266,7 +265,3 @@ def _align(
         np.ascontiguousarray(begin), reach, steps, place, information, correlation,
     )  # fmt: skip
     return place, information, correlation
-
-
-def _distance(a: Array, b: Array) -> Array:
-    return np.asarray(np.linalg.norm(a - b, axis=1))

@@ -29,7 +29,6 @@ class FrontEndSettings:
             appearance: events show slopes along the flow.
         expected_px: standard deviation of the place where a patch is expected, px.
         reach_px: a patch is not found further from there, px.
-        coarse_reach_px: a step at half resolution is not longer, px.
         border_px: of the image, where patches would be cut off, px.
         most_patches, distance_px: how many, and how far apart, px; more while the flow turns.
         edge_share: of the structure tensor's trace in the score of a patch: edges count, too.
@@ -50,7 +49,6 @@ class FrontEndSettings:
     alike: float = 0.5
     expected_px: float = 1.0
     reach_px: float = 7.0
-    coarse_reach_px: float = 6.0
     border_px: int = 5
     most_patches: int = 250
     distance_px: int = 5

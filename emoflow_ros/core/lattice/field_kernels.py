@@ -103,30 +103,6 @@ def bilinear(grid: F64, points: F64, per_px: F32) -> F64:
     return out
 
 
-@njit(nogil=True)
-def length_at(grid: F32, x: F32, y: F32, per_px: F32, share: float) -> float:
-    """Return the length that vectors on a grid (columns, rows, 2) keep to at a share of points.
-
-    Args:
-        grid: the vectors at the nodes, bilinear in between; the length is in their unit.
-        x, y: (N,) px, at least one, all on the grid.
-        per_px: cells per pixel in x and y.
-        share: of the points, in [0, 1].
-    """
-    squared = np.empty(len(x))
-    last_column, last_row = grid.shape[0] - 2, grid.shape[1] - 2
-    for i in range(len(x)):
-        at_x, at_y = x[i] * per_px[0], y[i] * per_px[1]
-        c, r = min(int(at_x), last_column), min(int(at_y), last_row)
-        a, b = at_x - c, at_y - r
-        squared[i] = 0.0
-        for d in range(2):
-            left = (1 - b) * grid[c, r, d] + b * grid[c, r + 1, d]
-            right = (1 - b) * grid[c + 1, r, d] + b * grid[c + 1, r + 1, d]
-            squared[i] += ((1 - a) * left + a * right) ** 2
-    return np.quantile(np.sqrt(squared), share)
-
-
 @njit(fastmath=True, nogil=True)
 def material_derivative(flow: F32, per_px: F32, out: F32) -> None:
     """Differentiate a field along its own motion, du/ds + (u . grad) u, over the whole window.

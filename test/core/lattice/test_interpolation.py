@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from emoflow_ros.core.lattice.field import Lattice
-from emoflow_ros.core.lattice.field_kernels import bilinear, length_at
+from emoflow_ros.core.lattice.field_kernels import bilinear
 
 PER_PX = np.array([0.05, 0.04], np.float32)
 
@@ -27,16 +27,6 @@ def test_values_are_those_of_scipy(shape):
     found = lattice.interpolate(values.T.copy().T, points)  # whatever the layout in memory
     grid = values.reshape(lattice.columns, lattice.rows, 3)
     np.testing.assert_array_equal(found, bilinear(grid, points, lattice.per_px))
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.75, 1.0])
-def test_a_share_of_the_points_keeps_to_a_length(share):
-    rng = np.random.default_rng(1)
-    grid = rng.normal(size=(14, 11, 2)).astype(np.float32)
-    x, y = (rng.uniform(0, last, 777).astype(np.float32) for last in (13 / 0.05, 10 / 0.04))
-    lengths = np.linalg.norm(by_scipy(grid, np.stack([x, y], -1).astype(float)), axis=-1)
-    expected = np.quantile(lengths, share)
-    assert length_at(grid, x, y, PER_PX, share) == pytest.approx(expected, rel=1e-4)
 
 
 def test_nodes_keep_their_values_and_what_is_not_finite_has_none():
