@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
+from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window, WindowSlicer
+from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
@@ -164,6 +166,42 @@ def test_a_window_s_wrong_motion_does_not_refute_places_that_fit(calm: Run):
     _, told = reader.step(memory, calm.windows[-1], wrong)
     assert calm.error(wrong) > 50
     assert calm.error(told) < 3
+
+
+def test_the_velocity_is_less_sure_by_a_share_of_the_rotation(calm: Run):
+    """Across v, in units of the speed."""
+    camera, covariances, speed = calm.recording.camera, [], 0.0
+    for back in (BackEndSettings(leakage=0.0), BackEndSettings()):
+        lattice = LatticeEstimator(camera, LatticeConfig())
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+        memory = reader.nothing()
+        for window in calm.windows[:6]:
+            memory, told = reader.step(memory, window, lattice.estimate(window))
+        covariances.append(told.covariance[:3, :3])
+        motion = memory.odometry.motion(told.t)
+        assert motion is not None
+        speed = float(np.linalg.norm(motion.linear))
+    share = (0.01 * np.linalg.norm(told.angular) / speed) ** 2
+    across = np.eye(3) - np.outer(told.linear, told.linear)
+    assert covariances[1] - covariances[0] == pytest.approx(share * across, abs=1e-9)
+    assert share > 1e-6
+
+
+def test_a_gyro_draws_the_motion_by_positions_more_than_the_lattice_does(calm: Run):
+    camera, apart = calm.recording.camera, []
+    for state in (GyroState.NONE, GyroState.USED):
+        lattice = LatticeEstimator(camera, LatticeConfig())
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+        memory = reader.nothing()
+        for window in calm.windows[:6]:
+            found = lattice.estimate(window)
+            off = calm.true_angular(found.t) + np.radians([2.0, 0.0, 0.0])
+            said = replace(found, angular=off, covariance=1e-8 * np.eye(6), gyro=GyroStatus(state))
+            memory, _ = reader.step(memory, window, said)
+        motion = memory.odometry.motion(said.t)
+        assert motion is not None
+        apart.append(float(np.degrees(np.linalg.norm(motion.angular - off))))
+    assert apart[1] < 0.8 * apart[0]
 
 
 def noise(count: int, t0: int, t1: int, size: tuple[int, int]) -> Events:
