@@ -33,8 +33,9 @@ class BackEndSettings:
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
         refuted, refuting_cost: distance of the lattice's angular velocity from the adjusted one in
-            standard deviations, `lattice_sd_deg` included, and mean robust cost of an observation
-            over `expected_cost`. Beyond both the memory is forgotten: a motion has begun at once.
+            standard deviations, with what is added to its covariance, and mean robust cost of an
+            observation over `expected_cost`. Beyond both the memory is forgotten: a motion has
+            begun at once.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         surely_translates: cost per patch from which that is checked now and then only.
         check_every: adjustments between such checks.
@@ -44,8 +45,8 @@ class BackEndSettings:
         expected_cost: mean robust cost of an observation where the covariance is right.
         least_cost: over that: fewer errors than expected are not believed.
         excess: factor on the covariance (core.back_end.consistency).
-        leakage: standard deviation of the velocity per rad/s of rotation, besides: neither places
-            nor the calibration are exact, and a share of a rotation is taken for travel.
+        leakage: standard deviation of the velocity per rad/s of rotation, besides: a share of a
+            rotation is taken for travel.
         fewest_shown: patches that are counted at least there.
         revision_share: of the newest revision in their mean.
         usual_revision, most_revision: before the first one, and at most.
