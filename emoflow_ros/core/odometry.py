@@ -31,9 +31,9 @@ from emoflow_ros.core.back_end.trajectory import (
     without_node,
 )
 from emoflow_ros.core.back_end.walks import Walks
-from emoflow_ros.core.front_end.patches import Patches, choose, flow_at, follow
+from emoflow_ros.core.front_end.patches import Patches, choose, completed, follow
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import Slice, SliceEvents, drawn, sharpness
+from emoflow_ros.core.front_end.slices import Slice, SliceEvents, drawn, flow_at, sharpness
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
 
@@ -109,7 +109,7 @@ class Odometry:
         return State(Walks.unknown(self.back))
 
     def step(self, state: State, slices: Iterable[tuple[SliceEvents, Hint]]) -> State:
-        """Take new slices: draw them, find the patches again, choose new ones, and adjust.
+        """Take new slices: draw them, find the patches again, choose new ones, adjust, and learn.
 
         Args:
             state: of the slices before.
@@ -124,7 +124,7 @@ class Odometry:
         if picture is None:
             return state
         patches = choose(picture, state.patches, self.camera, self.front)
-        return self._adjusted(replace(state, patches=patches))
+        return self._completed(self._adjusted(replace(state, patches=patches)), picture)
 
     def _followed(self, state: State, events: SliceEvents, hint: Hint) -> tuple[State, Slice]:
         """Draw one slice and find the patches in it."""
@@ -243,6 +243,13 @@ class Odometry:
             adjusted=found,
             adjustments=state.adjustments + 1,
         )
+
+    def _completed(self, state: State, picture: Slice) -> State:
+        """Let patches learn what a flow that has turned shows of them, where they should be."""
+        if state.adjusted is None or state.x is None:
+            return state
+        place = expected_places(self.camera, state.patches, state.x)
+        return replace(state, patches=completed(state.patches, picture, place, self.front))
 
 
 def _carried(place: Array, flow: F32, seconds: float) -> Array:

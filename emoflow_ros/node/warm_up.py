@@ -14,11 +14,13 @@ type EstimatorFactory = Callable[[Camera, Config], Estimator]
 
 WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 
-# Enough windows for a warm start, an adjustment of the memory, and a flow fitted again with it
+# Enough windows for a warm start, an adjustment of the memory, a flow fitted again with it, and a
+# turn of the motion
 _LENGTH = 90 * NS_PER_MS
 WARM_UP_ENDS = tuple(_LENGTH + k * 45 * NS_PER_MS for k in range(8))  # ns
 _EVENTS = 60_000
-_SPEED = 200  # px/s
+_SPEED = 200  # px/s along x; along y from the turn on
+_TURN = 300 * NS_PER_MS
 
 
 def warm_up(make_estimator: EstimatorFactory) -> None:
@@ -30,7 +32,8 @@ def warm_up(make_estimator: EstimatorFactory) -> None:
     dots = rng.integers(0, (WARM_UP_CAMERA.width, WARM_UP_CAMERA.height), (500, 2))
     x, y = dots[rng.integers(0, len(dots), len(t))].T
     moved = (x + t * _SPEED // NS_PER_S) % WARM_UP_CAMERA.width
-    events = Events(moved.astype(np.uint16), y.astype(np.uint16), t, x % 2 == 0)
+    down = (y + np.maximum(t - _TURN, 0) * _SPEED // NS_PER_S) % WARM_UP_CAMERA.height
+    events = Events(moved.astype(np.uint16), down.astype(np.uint16), t, x % 2 == 0)
     for model, ends in (("auto", WARM_UP_ENDS), ("rotation", WARM_UP_ENDS[:2])):
         config = load_config(overrides={"estimator.model": model})
         assert isinstance(config.estimator, LatticeConfig)

@@ -33,6 +33,37 @@ def cut(image: F32, points: F64, radius: int) -> F32:
 
 
 @_compiled
+def cut_shaped(image: F32, points: F64, shapes: F64, radius: int) -> F32:
+    """Cut patches (N, side, side), side = 2 radius + 1, whose offsets shapes have multiplied.
+
+    Zero off the image.
+
+    Args:
+        image: (h, w).
+        points: (N, 2) px of their middles.
+        shapes: (N, 2, 2).
+        radius: px.
+    """
+    h, w = image.shape
+    side = 2 * radius + 1
+    out = np.zeros((len(points), side, side), np.float32)
+    one = np.float32(1)
+    for n in range(len(points)):
+        for i in range(side):
+            for j in range(side):
+                a, b = j - radius, i - radius
+                x = points[n, 0] + shapes[n, 0, 0] * a + shapes[n, 0, 1] * b
+                y = points[n, 1] + shapes[n, 1, 0] * a + shapes[n, 1, 1] * b
+                if 0 <= x < w - 1 and 0 <= y < h - 1:
+                    u, v = int(x), int(y)
+                    f, g = np.float32(x - u), np.float32(y - v)
+                    upper = (one - f) * image[v, u] + f * image[v, u + 1]
+                    lower = (one - f) * image[v + 1, u] + f * image[v + 1, u + 1]
+                    out[n, i, j] = (one - g) * upper + g * lower
+    return out
+
+
+@_compiled
 def deformed(patches: F32, shapes: F64) -> F32:
     """Draw patches (N, side, side) as they look once their offsets are multiplied by shapes.
 
@@ -98,7 +129,7 @@ def _sample(image: F32, left: float, top: float, out: F32) -> None:
 
 @_compiled
 def align(
-    templates: F32, signs: F64, image: F32, along_x: F32, along_y: F32,
+    templates: F32, image: F32, along_x: F32, along_y: F32,
     start: F64, reach: float, steps: int, position: F64, information: F64, correlation: F64,
 ) -> None:  # fmt: skip
     """Shift each template to where it fits an image best: Gauss-Newton with a free gain.
@@ -110,7 +141,6 @@ def align(
 
     Args:
         templates: (N, side, side).
-        signs: (N,) of the templates.
         image, along_x, along_y: (h, w) the image and its slopes.
         start: (N, 2) px, where each template's middle is expected.
         reach: standard deviation of that, px: along an edge a template stays there.
@@ -130,9 +160,9 @@ def align(
             total += weights[i, j]
     now, slope_x, slope_y, weighted, by_x, by_y = np.empty((6, side, side), np.float32)
     for n in range(len(templates)):
-        template, sign = templates[n], np.float32(signs[n])
+        template = templates[n]
         x, y = start[n, 0], start[n, 1]
-        squares, tx, ty, p, q, r = _weighted(template, sign, weights, weighted, by_x, by_y)
+        squares, tx, ty, p, q, r = _weighted(template, weights, weighted, by_x, by_y)
         steep, flat, shown, ux, uy = _axes(float(p), float(q), float(r), EDGE)
         for _ in range(steps if steep > 0 else 0):
             _sample(image, x - radius, y - radius, now)
@@ -157,14 +187,14 @@ def align(
         _sample(along_y, x - radius, y - radius, slope_y)
         position[n, 0], position[n, 1] = x, y
         correlation[n] = _judge(
-            template, now, slope_x, slope_y, weights, total, squares, sign, information[n]
-        )  # fmt: skip
+            template, now, slope_x, slope_y, weights, total, squares, information[n]
+        )
 
 
 @_inlined
 def _judge(
     template: F32, now: F32, slope_x: F32, slope_y: F32, weights: F32, total: np.float32,
-    squares: np.float32, sign: np.float32, information: F64,
+    squares: np.float32, information: F64,
 ) -> float:  # fmt: skip
     """Write the information on a patch's place, and return its correlation.
 
@@ -179,13 +209,13 @@ def _judge(
     half = np.float32(0.5)
     for i in range(side):
         for j in range(side):
-            w, t, value = weights[i, j], sign * template[i, j], now[i, j]
+            w, t, value = weights[i, j], template[i, j], now[i, j]
             product += w * t * value
             power += w * value * value
             if 0 < i < side - 1 and 0 < j < side - 1:
                 jx, jy = slope_x[i, j], slope_y[i, j]
-                tx = half * sign * (template[i, j + 1] - template[i, j - 1])
-                ty = half * sign * (template[i + 1, j] - template[i - 1, j])
+                tx = half * (template[i, j + 1] - template[i, j - 1])
+                ty = half * (template[i + 1, j] - template[i - 1, j])
                 a += w * jx * jx
                 b += w * jx * jy
                 c += w * jy * jy
@@ -224,7 +254,7 @@ def _axes(p: float, q: float, r: float, chance: float) -> tuple[float, float, fl
 
 @_inlined
 def _weighted(
-    template: F32, sign: np.float32, weights: F32, weighted: F32, by_x: F32, by_y: F32
+    template: F32, weights: F32, weighted: F32, by_x: F32, by_y: F32
 ) -> tuple[np.float32, ...]:
     """Write W T, W T'x and W T'y of a template T; return sums of W times TT, T T', T' T'."""
     squares, half = np.float32(1e-9), np.float32(0.5)
@@ -233,12 +263,12 @@ def _weighted(
     by_x[:], by_y[:] = 0, 0
     for i in range(side):
         for j in range(side):
-            w, t = weights[i, j], sign * template[i, j]
+            w, t = weights[i, j], template[i, j]
             weighted[i, j] = w * t
             squares += w * t * t
             if 0 < i < side - 1 and 0 < j < side - 1:
-                sx = half * sign * (template[i, j + 1] - template[i, j - 1])
-                sy = half * sign * (template[i + 1, j] - template[i - 1, j])
+                sx = half * (template[i, j + 1] - template[i, j - 1])
+                sy = half * (template[i + 1, j] - template[i - 1, j])
                 by_x[i, j], by_y[i, j] = w * sx, w * sy
                 tx += w * sx * t
                 ty += w * sy * t

@@ -1,17 +1,22 @@
-"""Patches of slices, found again in later ones by their first appearance."""
+"""Patches of slices, found again in later ones by what they show along the present flow."""
 
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.front_end.appearance import (
+    completed_slopes,
+    first_slopes,
+    seen_along,
+    visible,
+)
 from emoflow_ros.core.front_end.bearings import looked_up, on_plane
 from emoflow_ros.core.front_end.corner_kernels import cornerness, corners, products
-from emoflow_ros.core.front_end.patch_kernels import align, cut, deformed
+from emoflow_ros.core.front_end.patch_kernels import align, deformed
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import GRID_PX, Picture, Slice
+from emoflow_ros.core.front_end.slices import Picture, Slice, flow_at
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.lattice.field_kernels import bilinear
 from emoflow_ros.core.numerics.smoothing import gaussian, outwards, smooth
 from emoflow_ros.core.types.events import NS_PER_S
 
@@ -24,6 +29,7 @@ _RADIUS, _RADIUS_HALF = 12, 8  # of a patch, px of its scale
 _STEPS, _STEPS_HALF = 12, 6  # of its search at each scale
 _TENSOR_TAPS = outwards(gaussian(4.0))
 _HIGH = 0.995  # quantile that scores are measured by
+_TURNED = 0.3  # sine of the angle by which a flow has turned that shows something new
 
 
 @dataclass(frozen=True)
@@ -32,8 +38,9 @@ class Patches:
 
     Attributes:
         born: (N,) ns, the slice of the first appearance.
-        full, half: (N, side, side) first appearance at full and at half resolution.
-        flow: (N, 2) px/s at that time.
+        full, half: (N, 2, side, side) slopes along x and y in the first appearance, as far as they
+            are known, at full and at half resolution.
+        toward: (N, 2) direction of the flow at that time.
         shape: (N, 2, 2) what the motion, as it was expected from slice to slice, has made of
             offsets (x, y) px in the first appearance.
         place: (N, 2) px of the tracking image, where it is, or should be: off the image if unknown.
@@ -47,7 +54,7 @@ class Patches:
     born: Index
     full: F32
     half: F32
-    flow: Array
+    toward: Array
     shape: Array
     place: Array
     seen: Array
@@ -64,8 +71,8 @@ class Patches:
         side, side_half = 2 * _RADIUS + 1, 2 * _RADIUS_HALF + 1
         return cls(
             np.zeros(0, np.int64),
-            np.zeros((0, side, side), np.float32),
-            np.zeros((0, side_half, side_half), np.float32),
+            np.zeros((0, 2, side, side), np.float32),
+            np.zeros((0, 2, side_half, side_half), np.float32),
             np.zeros((0, 2)),
             np.zeros((0, 2, 2)),
             np.zeros((0, 2)),
@@ -134,28 +141,24 @@ class Patches:
         return Patches(*(np.concatenate(pair) for pair in both))
 
 
-def flow_at(flow: F32, points: Array) -> Array:
-    """Interpolate a slice's flow (rows, columns, 2) at points (N, 2) px."""
-    per_px = np.full(2, 1.0 / GRID_PX, np.float32)
-    nodes = np.ascontiguousarray(flow.transpose(1, 0, 2), np.float64)
-    return np.asarray(bilinear(nodes, points, per_px))
+def directions(patches: Patches, flow: F32, place: Array) -> Array:
+    """Directions (N, 2) of a flow in the frames of the first appearances.
 
-
-def agreement(patches: Patches, flow: F32, place: Array) -> Array:
-    """Cosine (N,) of the angle between the flow at the first appearance and the one now.
-
-    The former turns with the patch: a roll of the camera is no change of the flow. 1 where either
-    is zero.
+    They turn with the patch: a roll of the camera is no change of the flow. Where nothing moves
+    they are the first ones.
 
     Args:
         patches: N of them.
         flow: (rows, columns, 2) px/s of the newest slice.
         place: (N, 2) px, where the patches are in it.
     """
-    first, now = np.einsum("nij,nj->ni", patches.shape, patches.flow), flow_at(flow, place)
-    lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(now, axis=1)
-    product = (first * now).sum(axis=1)
-    return np.asarray(np.where(lengths > 0, product / np.maximum(lengths, 1e-9), 1.0))
+    along = np.linalg.solve(patches.shape, flow_at(flow, place)[..., None])[..., 0]
+    return np.where(along.any(axis=1, keepdims=True), _unit(along), patches.toward)
+
+
+def _unit(vectors: Array) -> Array:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1.0))
 
 
 def follow(
@@ -164,9 +167,8 @@ def follow(
     """Find patches again in a new slice.
 
     A patch is looked for at half, then at full resolution, in the shape that the motion has given
-    it and with the sign of the flow: an edge that goes back fires with the other polarity. Events
-    show slopes along the flow. So while the flow goes across its direction at the first appearance
-    (`alike`) there is another image, whose likeness is greatest at a wrong place.
+    it, as the flow should show it now. While that is little of what it showed first, it is not
+    looked for: there is another image, whose likeness is greatest at a wrong place.
 
     Args:
         patches: of the slices before.
@@ -178,13 +180,13 @@ def follow(
     count, size = len(patches), np.array(camera.size)
     place = np.where(np.isfinite(expected), expected, -1.0)
     seen, root, found = np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.bool_)
-    alike = agreement(patches, picture.flow, place)
-    look = patches.followed(settings.patience) & (np.abs(alike) >= settings.alike)
+    toward = directions(patches, picture.flow, place)
+    look = patches.followed(settings.patience)
+    look &= visible(patches.half, patches.toward, toward, settings)
     look &= ((expected > 0) & (expected < size)).all(axis=1)
     if look.any():
-        sign = np.where(alike[look] < 0, -1.0, 1.0)
         at, information, good = _matched(
-            patches.at(look), sign, picture, expected[look], size, settings
+            patches.at(look), toward[look], picture, expected[look], size, settings
         )
         hit = np.flatnonzero(look)[good]
         age = (picture.t - patches.born[hit]) / NS_PER_S
@@ -195,18 +197,18 @@ def follow(
 
 
 def _matched(
-    patches: Patches, sign: Array, picture: Slice, expected: Array, size: Index,
+    patches: Patches, toward: Array, picture: Slice, expected: Array, size: Index,
     settings: FrontEndSettings,
 ) -> tuple[Array, Array, Mask]:  # fmt: skip
-    """Places (N, 2), information (N, 2, 2) and whether they count (N,), of patches of a sign."""
+    """Places (N, 2), information (N, 2, 2) and whether they count (N,), seen along (N, 2)."""
     reach, shape = settings.expected_px, patches.shape
     near, _, _ = _align(
-        deformed(patches.half, shape), sign, picture.half,
+        deformed(seen_along(patches.half, toward), shape), picture.half,
         expected / 2 - 0.25, reach / 2, _STEPS_HALF,
     )  # fmt: skip
     near = 2 * near + 0.5
     at, information, correlation = _align(
-        deformed(patches.full, shape), sign, picture.full, near, reach, _STEPS
+        deformed(seen_along(patches.full, toward), shape), picture.full, near, reach, _STEPS
     )
     apart = np.linalg.norm(at - expected, axis=1)
     good = (correlation > settings.correlation) & (apart < settings.reach_px)
@@ -225,8 +227,10 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         camera: of the tracking image.
         settings: of the front end.
     """
-    alike = np.abs(agreement(patches, picture.flow, patches.place)) >= settings.alike
-    taken = patches.place[patches.shown | (patches.followed(settings.patience) & alike)]
+    toward = directions(patches, picture.flow, patches.place)
+    looked_for = patches.followed(settings.patience)
+    looked_for &= visible(patches.half, patches.toward, toward, settings)
+    taken = patches.place[patches.shown | looked_for]
     most = settings.most_patches - len(taken)
     if most <= 0:
         return patches
@@ -236,32 +240,60 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
     high = int(_HIGH * score.size)
     least = settings.least_score * float(np.partition(score.ravel(), high)[high])
     points = corners(score, taken, settings.distance_px, settings.border_px + 2, least, most)
-    bearing, _ = looked_up(camera, points)
-    points, bearing = (a[np.isfinite(bearing).all(axis=1)] for a in (points, bearing))
+    (bearing, _), flow = looked_up(camera, points), flow_at(picture.flow, points)
+    good = np.isfinite(bearing).all(axis=1) & flow.any(axis=1)
+    points, bearing, toward = points[good], bearing[good], _unit(flow[good])
     count, slices = len(points), max(1, patches.found.shape[1])
     seen, root = np.zeros((count, slices, 2)), np.zeros((count, slices, 2, 2))
     found = np.zeros((count, slices), np.bool_)
     seen[:, -1], found[:, -1] = bearing, True
     new = Patches(
         np.full(count, picture.t),
-        cut(picture.full.image, points, _RADIUS),
-        cut(picture.half.image, points / 2 - 0.25, _RADIUS_HALF),
-        flow_at(picture.flow, points),
+        first_slopes(picture.full, points, toward, _RADIUS, settings),
+        first_slopes(picture.half, points / 2 - 0.25, toward, _RADIUS_HALF, settings),
+        toward,
         np.tile(np.eye(2), (count, 1, 1)),
         points, seen, root, found, np.full(count, np.nan),
     )  # fmt: skip
     return patches.joined(new) if patches.found.shape[1] else new
 
 
+def completed(
+    patches: Patches, picture: Slice, place: Array, settings: FrontEndSettings
+) -> Patches:
+    """Let patches learn what the newest slice shows of them if the flow has turned.
+
+    Args:
+        patches: followed up to it.
+        picture: the newest slice.
+        place: (N, 2) px, where the adjusted motion puts them.
+        settings: of the front end.
+    """
+    toward = directions(patches, picture.flow, place)
+    across = np.abs(patches.toward[:, 0] * toward[:, 1] - patches.toward[:, 1] * toward[:, 0])
+    near = np.linalg.norm(place - patches.place, axis=1) < settings.adjusted_px
+    chosen = np.flatnonzero(patches.shown & near & (across > _TURNED))
+    if not len(chosen):
+        return patches
+    full, half = patches.full.copy(), patches.half.copy()
+    shape, first, now = patches.shape[chosen], patches.toward[chosen], toward[chosen]
+    for slopes, scale, at in (
+        (full, picture.full, place[chosen]),
+        (half, picture.half, place[chosen] / 2 - 0.25),
+    ):
+        slopes[chosen] = completed_slopes(slopes[chosen], scale, at, shape, first, now, settings)
+    return replace(patches, full=full, half=half)
+
+
 def _align(
-    templates: F32, sign: Array, picture: Picture, begin: Array, reach: float, steps: int
+    templates: F32, picture: Picture, begin: Array, reach: float, steps: int
 ) -> tuple[Array, Array, Array]:
     """Places (N, 2), information (N, 2, 2) and correlations (N,) of templates in a picture."""
     count = len(templates)
     place, information = np.empty((count, 2)), np.empty((count, 2, 2))
     correlation = np.empty(count)
     align(
-        templates, sign, picture.image, picture.along_x, picture.along_y,
+        templates, picture.image, picture.along_x, picture.along_y,
         np.ascontiguousarray(begin), reach, steps, place, information, correlation,
     )  # fmt: skip
     return place, information, correlation

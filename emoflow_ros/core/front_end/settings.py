@@ -25,8 +25,12 @@ class FrontEndSettings:
         correlation: least one of a patch that was found.
         patience: in how many of the newest nodes a patch may be missing: where an edge stops it
             fires no events, and fires again.
-        alike: least cosine, of either sign, of the angle between the flow and that at the first
-            appearance: events show slopes along the flow.
+        visible: least amplitude of what a patch shows along the present flow, over that of its
+            first appearance.
+        any_direction: share of the trace of its structure tensor by which slopes at a pixel may
+            have any direction.
+        learning: share of the error that slopes across the first flow are corrected by, along it.
+        adjusted_px: nothing is learnt of a patch further from where the motion puts it, px.
         expected_px: standard deviation of the place where a patch is expected, px.
         reach_px: a patch is not found further from there, px.
         border_px: of the image, where patches would be cut off, px.
@@ -46,7 +50,10 @@ class FrontEndSettings:
     own_sharpness: float = 0.97
     correlation: float = 0.5
     patience: int = 5
-    alike: float = 0.5
+    visible: float = 0.5
+    any_direction: float = 0.3
+    learning: float = 0.6
+    adjusted_px: float = 2.0
     expected_px: float = 1.0
     reach_px: float = 7.0
     border_px: int = 5

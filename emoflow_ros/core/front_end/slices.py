@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.front_end.slice_kernels import draw_signed, halve, slope
+from emoflow_ros.core.lattice.field_kernels import bilinear
 from emoflow_ros.core.numerics.smoothing import gaussian, outwards
 
 F32 = NDArray[np.float32]
@@ -76,6 +77,13 @@ def grid_nodes(size: tuple[int, int]) -> NDArray[np.float64]:
     """
     x, y = (np.arange(-(-(side - 1) // GRID_PX) + 1) * float(GRID_PX) for side in size)
     return np.minimum(np.stack(np.meshgrid(x, y), axis=-1), np.array(size) - 1.0)
+
+
+def flow_at(flow: F32, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate a slice's flow (rows, columns, 2) at points (N, 2) px."""
+    per_px = np.full(2, 1.0 / GRID_PX, np.float32)
+    nodes = np.ascontiguousarray(flow.transpose(1, 0, 2), np.float64)
+    return np.asarray(bilinear(nodes, points, per_px))
 
 
 def drawn(events: SliceEvents, flow: F32, size: tuple[int, int]) -> F32:

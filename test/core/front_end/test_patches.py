@@ -7,8 +7,14 @@ import pytest
 from scipy.ndimage import affine_transform, gaussian_filter, shift
 
 from emoflow_ros.core.front_end.bearings import looked_up, on_plane
-from emoflow_ros.core.front_end.patch_kernels import deformed
-from emoflow_ros.core.front_end.patches import Patches, agreement, choose, follow
+from emoflow_ros.core.front_end.patch_kernels import cut_shaped, deformed
+from emoflow_ros.core.front_end.patches import (
+    Patches,
+    choose,
+    completed,
+    directions,
+    follow,
+)
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
@@ -100,32 +106,92 @@ def test_shapes_are_drawn_by_multiplying_offsets():
     assert (same == x * y).all()
 
 
-def test_a_patch_is_not_looked_for_while_the_flow_goes_across_its_first_direction():
-    image = texture()
-    patches = first(image)
-    across = slice_of(image, 10**7, flow=(2.0, 10.0))
-    assert agreement(patches, across.flow, patches.place) == pytest.approx(0.196, abs=1e-3)
-    found = follow(patches, across, patches.place, CAMERA, SETTINGS)
-    assert not found.shown.any()
-    again = choose(across, found, CAMERA, SETTINGS)
-    assert again.shown.sum() > 0.8 * len(patches)  # new ones take their places
-    back = slice_of(-image, 2 * 10**7, flow=(-10.0, 0.0))
-    returned = follow(found, back, patches.place, CAMERA, SETTINGS)
-    assert returned.shown.mean() > 0.9
-    rolled_by_a_quarter = np.tile([[0.0, -1.0], [1.0, 0.0]], (len(patches), 1, 1))
-    turned = replace(patches, shape=rolled_by_a_quarter)
-    assert agreement(turned, across.flow, patches.place) == pytest.approx(0.981, abs=1e-3)
+def along(brightness: np.ndarray, degrees: float, t: int = 0) -> Slice:
+    """Events of a picture's brightness that moves in a direction: its slopes along it."""
+    u = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    slope_y, slope_x = np.gradient(brightness)
+    return slice_of(u[0] * slope_x + u[1] * slope_y, t, tuple(20 * u))
 
 
-@pytest.mark.parametrize(("degrees", "seen"), [(55, 1.0), (65, 0.0), (115, 0.0), (125, 1.0)])
-def test_a_patch_waits_between_60_and_120_degrees(degrees, seen):
-    image = texture()
-    patches = first(image)
-    angle = np.radians(degrees)
-    sign = 1 if degrees < 90 else -1
-    turned = slice_of(sign * image, 10**7, flow=(20 * np.cos(angle), 20 * np.sin(angle)))
-    found = follow(patches, turned, patches.place, CAMERA, SETTINGS)
-    assert found.shown.mean() == pytest.approx(seen, abs=0.1)
+def of_brightness(brightness: np.ndarray) -> Patches:
+    return choose(along(brightness, 0.0), Patches.none(), CAMERA, SETTINGS)
+
+
+def error(found: Patches, place: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(found.place - place, axis=1)[found.shown]))
+
+
+@pytest.mark.parametrize(("degrees", "most"), [(0, 1e-6), (30, 0.15), (150, 0.15), (180, 1e-6)])
+def test_a_patch_looks_as_the_present_flow_shows_it(degrees, most):
+    brightness = texture()
+    patches = of_brightness(brightness)
+    found = follow(patches, along(brightness, degrees, 10**7), patches.place, CAMERA, SETTINGS)
+    assert found.shown.mean() > 0.95
+    assert error(found, patches.place) < most
+
+
+def test_a_patch_waits_while_the_flow_shows_little_of_it():
+    brightness = np.tile(texture()[60], (120, 1))  # edges across the first flow alone
+    patches = of_brightness(brightness)
+    for degrees, seen in ((55, 1.0), (65, 0.0), (115, 0.0), (125, 1.0)):
+        turned = along(brightness, degrees, 10**7)
+        found = follow(patches, turned, patches.place, CAMERA, SETTINGS)
+        assert found.shown.mean() == pytest.approx(seen, abs=0.1)
+    again = choose(turned, found, CAMERA, SETTINGS)
+    assert len(again) < 1.2 * len(found)
+    across = along(texture(), 90, 10**7)
+    waiting = follow(patches, across, patches.place, CAMERA, SETTINGS)
+    assert choose(across, waiting, CAMERA, SETTINGS).shown.sum() > 0.5 * len(patches)
+
+
+def test_what_a_turned_flow_shows_is_learnt():
+    brightness = texture()
+    patches = of_brightness(brightness)
+    place = patches.place
+    for k, degrees in enumerate(range(30, 91, 4)):
+        picture = along(brightness, degrees, (k + 1) * 10**7)
+        patches = completed(
+            follow(patches, picture, place, CAMERA, SETTINGS), picture, place, SETTINGS
+        )
+    across = along(brightness, 90, 10**8)
+    learnt = follow(patches, across, place, CAMERA, SETTINGS)
+    untaught = follow(of_brightness(brightness), across, place, CAMERA, SETTINGS)
+    assert learnt.shown.mean() > 0.9
+    assert untaught.shown.mean() < 0.1
+    assert error(learnt, place) < 0.02
+    first_flow = along(brightness, 0.0, 2 * 10**8)
+    assert error(follow(patches, first_flow, place, CAMERA, SETTINGS), place) < 1e-3  # no drift
+
+
+@pytest.mark.parametrize(("degrees", "off_px"), [(10, 0.0), (40, 2.5)])
+def test_nothing_is_learnt_of_the_same_flow_or_at_a_wrong_place(degrees, off_px):
+    brightness = texture()
+    patches = of_brightness(brightness)
+    picture = along(brightness, degrees, 10**7)
+    found = follow(patches, picture, patches.place, CAMERA, SETTINGS)
+    same = completed(found, picture, found.place + np.array([off_px, 0.0]), SETTINGS)
+    assert (same.full == found.full).all()
+
+
+def test_directions_turn_with_the_patch():
+    patches = first(texture())
+    across = slice_of(texture(), 10**7, flow=(2.0, 10.0))
+    unturned = directions(patches, across.flow, patches.place)
+    assert unturned == pytest.approx(np.tile([0.196, 0.981], (len(patches), 1)), abs=1e-3)
+    by_a_quarter = np.tile([[0.0, -1.0], [1.0, 0.0]], (len(patches), 1, 1))
+    turned = directions(replace(patches, shape=by_a_quarter), across.flow, patches.place)
+    assert turned == pytest.approx(np.tile([0.981, -0.196], (len(patches), 1)), abs=1e-3)
+
+
+def test_patches_are_cut_in_their_shapes():
+    y, x = np.mgrid[0:120, 0:160].astype(np.float32)
+    shape = np.array([[0.9, 0.2], [-0.1, 1.1]])
+    (patch,) = cut_shaped(3 * x + 5 * y, np.array([[80.25, 60.5]]), shape[None], 8)
+    b, a = np.mgrid[-8:9, -8:9]
+    at = [80.25, 60.5] + np.stack([a, b], axis=-1) @ shape.T
+    assert patch == pytest.approx(at @ [3.0, 5.0], rel=1e-5)
+    (outside,) = cut_shaped(3 * x + 5 * y + 1, np.array([[-20.0, 60.0]]), shape[None], 8)
+    assert (outside == 0).all()
 
 
 def test_without_a_flow_patches_are_looked_for():

@@ -1,0 +1,92 @@
+"""What patches look like under a flow.
+
+An event camera does not see a picture, but its slopes s along the flow: a slice of events moved
+along the unit vector u shows e = s . u. So a patch is remembered by its slopes, as far as they are
+known, and looks different once the flow has turned.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emoflow_ros.core.front_end.patch_kernels import cut, cut_shaped
+from emoflow_ros.core.front_end.settings import FrontEndSettings
+from emoflow_ros.core.front_end.slices import Picture
+from emoflow_ros.core.numerics.smoothing import gaussian, outwards, smooth
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_NEAR = gaussian(1.5)  # of a pixel, over which its structure tensor is a mean
+_REACH = len(_NEAR) // 2
+
+
+def first_slopes(
+    picture: Picture, points: Array, toward: Array, radius: int, settings: FrontEndSettings
+) -> F32:
+    """Slopes (N, 2, side, side) that events e along u show first.
+
+    Of slopes with the covariance M the likeliest are s = M u e / (u . M u). M is the structure
+    tensor of the events: slopes of an edge lie across it.
+
+    Args:
+        picture: of the events.
+        points: (N, 2) px, the patches' middles.
+        toward: (N, 2) u.
+        radius: of the patches, px.
+        settings: of the front end.
+    """
+    wide = radius + _REACH
+    x, y = (cut(slopes, points, wide) for slopes in (picture.along_x, picture.along_y))
+    tensor = np.concatenate([x * x, x * y, y * y])
+    smooth(tensor, outwards(_NEAR))
+    inner = slice(_REACH, -_REACH)
+    xx, xy, yy = tensor.reshape(3, *x.shape)[..., inner, inner]
+    u, v = toward.astype(np.float32).T[..., None, None]
+    noise = settings.any_direction * (xx + yy) + 1e-9
+    along_x, along_y = (xx + noise) * u + xy * v, xy * u + (yy + noise) * v
+    share = cut(picture.image, points, radius) / (along_x * u + along_y * v)
+    return np.stack([along_x * share, along_y * share], axis=1)
+
+
+def seen_along(slopes: F32, toward: Array) -> F32:
+    """Events (N, side, side) that slopes (N, 2, side, side) show along u (N, 2)."""
+    u, v = toward.astype(np.float32).T[..., None, None]
+    return np.asarray(u * slopes[:, 0] + v * slopes[:, 1])
+
+
+def visible(slopes: F32, first: Array, toward: Array, settings: FrontEndSettings) -> Mask:
+    """Tell which patches show enough along u (N, 2) of what they showed at `first` (N, 2), (N,)."""
+    now, then = (np.square(seen_along(slopes, u)).sum(axis=(1, 2)) for u in (toward, first))
+    return np.asarray(now >= settings.visible**2 * then)
+
+
+def completed_slopes(
+    slopes: F32, picture: Picture, place: Array, shape: Array, first: Array, toward: Array,
+    settings: FrontEndSettings,
+) -> F32:  # fmt: skip
+    """Learn the slopes across the first flow from events along another one.
+
+    Least mean squares (Widrow and Hoff, 1960); what the first flow has shown stays as it was, so
+    that a patch does not drift. Where they look like something else, nothing is learnt.
+
+    Args:
+        slopes: (N, 2, side, side) that are known.
+        picture: of the events.
+        place: (N, 2) px of the patches in it.
+        shape: (N, 2, 2) that the motion has given them.
+        first: (N, 2) u of the first flow.
+        toward: (N, 2) u of the present one, in the frames of the first appearances.
+        settings: of the front end.
+    """
+    expected = seen_along(slopes, toward)
+    found = cut_shaped(picture.image, place, shape, slopes.shape[-1] // 2)
+    product, power, squares = (
+        (a * b).sum(axis=(1, 2)) for a, b in ((expected, found), (found, found), (expected,) * 2)
+    )
+    good = product > settings.correlation * np.sqrt(power * squares)
+    gain = np.where(good, squares / np.where(good, product, 1.0), 0.0).astype(np.float32)
+    error = np.where(good[:, None, None], gain[:, None, None] * found - expected, np.float32(0))
+    across = np.stack([-first[:, 1], first[:, 0]], axis=1)
+    step = settings.learning * (toward * across).sum(axis=1, keepdims=True) * across
+    return np.asarray(slopes + step.astype(np.float32)[..., None, None] * error[:, None])
