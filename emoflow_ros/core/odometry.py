@@ -1,7 +1,7 @@
 """Camera motion from a memory of positions (docs/method.md).
 
-Slices of the stream are drawn as images, patches of their first appearance are found again in
-later ones, and poses, velocities and depths are adjusted to their places. `step` is all of it.
+Slices of the stream are drawn as images, patches are found again in later ones, and poses,
+velocities and depths are adjusted to their places. `step` is all of it.
 """
 
 from collections.abc import Iterable

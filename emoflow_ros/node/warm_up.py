@@ -19,7 +19,7 @@ WARM_UP_CAMERA = Camera(346, 260, 226.0, 226.0, 173.0, 130.0)
 _LENGTH = 90 * NS_PER_MS
 WARM_UP_ENDS = tuple(_LENGTH + k * 45 * NS_PER_MS for k in range(8))  # ns
 _EVENTS = 60_000
-_SPEED = 200  # px/s along x; along y from the turn on
+_SPEED = 200  # px/s along x; along y, too, from the turn on
 _TURN = 300 * NS_PER_MS
 
 

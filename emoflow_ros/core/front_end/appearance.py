@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_NEAR = gaussian(1.5)  # of a pixel, over which its structure tensor is a mean
-_REACH = len(_NEAR) // 2
+_TAPS = outwards(gaussian(1.5))  # of a pixel, over which its structure tensor is a mean
+_REACH = len(_TAPS) - 1
 
 
 def first_slopes(
@@ -39,7 +39,7 @@ def first_slopes(
     wide = radius + _REACH
     x, y = (cut(slopes, points, wide) for slopes in (picture.along_x, picture.along_y))
     tensor = np.concatenate([x * x, x * y, y * y])
-    smooth(tensor, outwards(_NEAR))
+    smooth(tensor, _TAPS)
     inner = slice(_REACH, -_REACH)
     xx, xy, yy = tensor.reshape(3, *x.shape)[..., inner, inner]
     u, v = toward.astype(np.float32).T[..., None, None]
@@ -57,7 +57,7 @@ def seen_along(slopes: F32, toward: Array) -> F32:
 
 def visible(slopes: F32, first: Array, toward: Array, settings: FrontEndSettings) -> Mask:
     """Tell which patches show enough along u (N, 2) of what they showed at `first` (N, 2), (N,)."""
-    now, then = (np.square(seen_along(slopes, u)).sum(axis=(1, 2)) for u in (toward, first))
+    now, then = (_product(e, e) for e in (seen_along(slopes, u) for u in (toward, first)))
     return np.asarray(now >= settings.visible**2 * then)
 
 
@@ -67,8 +67,10 @@ def completed_slopes(
 ) -> F32:  # fmt: skip
     """Learn the slopes across the first flow from events along another one.
 
-    Least mean squares (Widrow and Hoff, 1960); what the first flow has shown stays as it was, so
-    that a patch does not drift. Where they look like something else, nothing is learnt.
+    Least mean squares (Widrow and Hoff, 1960). What the first flow has shown stays as it was. How
+    strongly edges fire now is told by all that is expected, so that slopes which are new come out
+    a third too small: what was seen first counts more. Nothing is learnt off the image, and of
+    patches that do not look as expected.
 
     Args:
         slopes: (N, 2, side, side) that are known.
@@ -79,14 +81,20 @@ def completed_slopes(
         toward: (N, 2) u of the present one, in the frames of the first appearances.
         settings: of the front end.
     """
-    expected = seen_along(slopes, toward)
     found = cut_shaped(picture.image, place, shape, slopes.shape[-1] // 2)
-    product, power, squares = (
-        (a * b).sum(axis=(1, 2)) for a, b in ((expected, found), (found, found), (expected,) * 2)
-    )
-    good = product > settings.correlation * np.sqrt(power * squares)
-    gain = np.where(good, squares / np.where(good, product, 1.0), 0.0).astype(np.float32)
-    error = np.where(good[:, None, None], gain[:, None, None] * found - expected, np.float32(0))
+    inside = np.isfinite(found)
+    found = np.where(inside, found, np.float32(0))
     across = np.stack([-first[:, 1], first[:, 0]], axis=1)
-    step = settings.learning * (toward * across).sum(axis=1, keepdims=True) * across
-    return np.asarray(slopes + step.astype(np.float32)[..., None, None] * error[:, None])
+    sine = (toward * across).sum(axis=1, keepdims=True)
+    expected = np.where(inside, seen_along(slopes, toward), np.float32(0))
+    both, power = _product(expected, found), _product(expected, expected)
+    good = both > settings.correlation * np.sqrt(power * _product(found, found))
+    gain = np.divide(power, both, out=np.zeros_like(both), where=good).astype(np.float32)
+    error = np.where(good[:, None, None], gain[:, None, None] * found - expected, np.float32(0))
+    step = (settings.learning * sine * across).astype(np.float32)
+    return np.asarray(slopes + step[..., None, None] * error[:, None])
+
+
+def _product(a: F32, b: F32) -> Array:
+    """Inner products (N,) of images (N, side, side)."""
+    return np.asarray(np.einsum("nij,nij->n", a, b, dtype=np.float64))

@@ -36,7 +36,7 @@ def cut(image: F32, points: F64, radius: int) -> F32:
 def cut_shaped(image: F32, points: F64, shapes: F64, radius: int) -> F32:
     """Cut patches (N, side, side), side = 2 radius + 1, whose offsets shapes have multiplied.
 
-    Zero off the image.
+    NaN off the image.
 
     Args:
         image: (h, w).
@@ -46,7 +46,7 @@ def cut_shaped(image: F32, points: F64, shapes: F64, radius: int) -> F32:
     """
     h, w = image.shape
     side = 2 * radius + 1
-    out = np.zeros((len(points), side, side), np.float32)
+    out = np.full((len(points), side, side), np.float32(np.nan))
     one = np.float32(1)
     for n in range(len(points)):
         for i in range(side):

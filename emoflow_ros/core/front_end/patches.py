@@ -29,7 +29,6 @@ _RADIUS, _RADIUS_HALF = 12, 8  # of a patch, px of its scale
 _STEPS, _STEPS_HALF = 12, 6  # of its search at each scale
 _TENSOR_TAPS = outwards(gaussian(4.0))
 _HIGH = 0.995  # quantile that scores are measured by
-_TURNED = 0.3  # sine of the angle by which a flow has turned that shows something new
 
 
 @dataclass(frozen=True)
@@ -38,8 +37,8 @@ class Patches:
 
     Attributes:
         born: (N,) ns, the slice of the first appearance.
-        full, half: (N, 2, side, side) slopes along x and y in the first appearance, as far as they
-            are known, at full and at half resolution.
+        full, half: (N, 2, side, side) slopes along x and y in the frame of the first appearance, as
+            far as they are known, at full and at half resolution.
         toward: (N, 2) direction of the flow at that time.
         shape: (N, 2, 2) what the motion, as it was expected from slice to slice, has made of
             offsets (x, y) px in the first appearance.
@@ -141,19 +140,25 @@ class Patches:
         return Patches(*(np.concatenate(pair) for pair in both))
 
 
-def directions(patches: Patches, flow: F32, place: Array) -> Array:
+def directions(patches: Patches, flow: F32, place: Array, settings: FrontEndSettings) -> Array:
     """Directions (N, 2) of a flow in the frames of the first appearances.
 
-    They turn with the patch: a roll of the camera is no change of the flow. Where nothing moves
-    they are the first ones.
+    They turn with the patch: a roll of the camera is no change of the flow. Where next to nothing
+    moves they are the first ones.
 
     Args:
         patches: N of them.
         flow: (rows, columns, 2) px/s of the newest slice.
         place: (N, 2) px, where the patches are in it.
+        settings: of the front end.
     """
     along = np.linalg.solve(patches.shape, flow_at(flow, place)[..., None])[..., 0]
-    return np.where(along.any(axis=1, keepdims=True), _unit(along), patches.toward)
+    return np.where(_moves(along, settings)[:, None], _unit(along), patches.toward)
+
+
+def _moves(flow: Array, settings: FrontEndSettings) -> Mask:
+    """Whether flows (N, 2) px/s have a direction, (N,)."""
+    return np.asarray(np.linalg.norm(flow, axis=1) > settings.least_speed)
 
 
 def _unit(vectors: Array) -> Array:
@@ -180,7 +185,7 @@ def follow(
     count, size = len(patches), np.array(camera.size)
     place = np.where(np.isfinite(expected), expected, -1.0)
     seen, root, found = np.zeros((count, 2)), np.zeros((count, 2, 2)), np.zeros(count, np.bool_)
-    toward = directions(patches, picture.flow, place)
+    toward = directions(patches, picture.flow, place, settings)
     look = patches.followed(settings.patience)
     look &= visible(patches.half, patches.toward, toward, settings)
     look &= ((expected > 0) & (expected < size)).all(axis=1)
@@ -219,7 +224,8 @@ def _matched(
 def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndSettings) -> Patches:
     """Choose new patches where a slice has structure and none is looked for, and add them.
 
-    Where the flow has turned they come beside the old ones, which wait for it to turn back.
+    Where the flow has turned they come beside the old ones, which wait for it to turn back. There
+    are none where next to nothing moves: their slopes would have no direction.
 
     Args:
         picture: the newest slice.
@@ -227,7 +233,7 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         camera: of the tracking image.
         settings: of the front end.
     """
-    toward = directions(patches, picture.flow, patches.place)
+    toward = directions(patches, picture.flow, patches.place, settings)
     looked_for = patches.followed(settings.patience)
     looked_for &= visible(patches.half, patches.toward, toward, settings)
     taken = patches.place[patches.shown | looked_for]
@@ -241,7 +247,7 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
     least = settings.least_score * float(np.partition(score.ravel(), high)[high])
     points = corners(score, taken, settings.distance_px, settings.border_px + 2, least, most)
     (bearing, _), flow = looked_up(camera, points), flow_at(picture.flow, points)
-    good = np.isfinite(bearing).all(axis=1) & flow.any(axis=1)
+    good = np.isfinite(bearing).all(axis=1) & _moves(flow, settings)
     points, bearing, toward = points[good], bearing[good], _unit(flow[good])
     count, slices = len(points), max(1, patches.found.shape[1])
     seen, root = np.zeros((count, slices, 2)), np.zeros((count, slices, 2, 2))
@@ -269,10 +275,10 @@ def completed(
         place: (N, 2) px, where the adjusted motion puts them.
         settings: of the front end.
     """
-    toward = directions(patches, picture.flow, place)
+    toward = directions(patches, picture.flow, place, settings)
     across = np.abs(patches.toward[:, 0] * toward[:, 1] - patches.toward[:, 1] * toward[:, 0])
     near = np.linalg.norm(place - patches.place, axis=1) < settings.adjusted_px
-    chosen = np.flatnonzero(patches.shown & near & (across > _TURNED))
+    chosen = np.flatnonzero(patches.shown & near & (across > settings.turned))
     if not len(chosen):
         return patches
     full, half = patches.full.copy(), patches.half.copy()

@@ -22,15 +22,19 @@ class FrontEndSettings:
         most_events: of one slice; more are thinned evenly. 60 000 are drawn in 1 ms.
         own_sharpness: sharpness of a slice drawn along the remembered scene's flow, over that
             along the lattice's, from which the former is taken.
-        correlation: least one of a patch that was found.
+        correlation: least one of a patch that was found, and that something is learnt of.
         patience: in how many of the newest nodes a patch may be missing: where an edge stops it
             fires no events, and fires again.
         visible: least amplitude of what a patch shows along the present flow, over that of its
             first appearance.
         any_direction: share of the trace of its structure tensor by which slopes at a pixel may
             have any direction.
-        learning: share of the error that slopes across the first flow are corrected by, along it.
-        adjusted_px: nothing is learnt of a patch further from where the motion puts it, px.
+        least_speed: of a flow that has a direction, px/s.
+        turned: least sine of the angle between the first flow and the present one from which that
+            shows something new.
+        learning: step of the least mean squares that learn slopes across the first flow.
+        adjusted_px: nothing is learnt of a patch found further than this from where the adjusted
+            motion puts it, px.
         expected_px: standard deviation of the place where a patch is expected, px.
         reach_px: a patch is not found further from there, px.
         border_px: of the image, where patches would be cut off, px.
@@ -52,6 +56,8 @@ class FrontEndSettings:
     patience: int = 5
     visible: float = 0.5
     any_direction: float = 0.3
+    least_speed: float = 3.0
+    turned: float = 0.3
     learning: float = 0.6
     adjusted_px: float = 2.0
     expected_px: float = 1.0
