@@ -7,6 +7,8 @@ import pytest
 
 from emoflow_ros.config import load_config
 from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.front_end.appearance import seen_along
+from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.remembering import RememberingEstimator
@@ -185,6 +187,24 @@ def test_the_velocity_is_less_sure_by_a_share_of_the_rotation(calm: Run):
     across = np.eye(3) - np.outer(told.linear, told.linear)
     assert covariances[1] - covariances[0] == pytest.approx(share * across, abs=1e-9)
     assert share > 1e-6
+
+
+def test_patches_learn_what_a_turned_flow_shows_after_the_adjustment(calm: Run):
+    camera, learnt = calm.recording.camera, []
+    for turned in (0.1, 2.0):  # sine: sometimes, never
+        lattice = LatticeEstimator(camera, LatticeConfig())
+        front = FrontEndSettings(turned=turned)
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, front)
+        memory = reader.nothing()
+        for window in calm.windows[:6]:
+            memory, _ = reader.step(memory, window, lattice.estimate(window))
+        patches = memory.odometry.patches
+        first = seen_along(patches.full, patches.toward)
+        across = seen_along(patches.full, patches.toward[:, ::-1] * [-1, 1])
+        # Slopes that were never corrected are zero where the first flow showed no event.
+        learnt.append(np.abs(across[first == 0]).max(initial=0.0))
+    assert learnt[0] > 0.01
+    assert learnt[1] < 1e-6
 
 
 def test_a_gyro_draws_the_motion_by_positions_more_than_the_lattice_does(calm: Run):

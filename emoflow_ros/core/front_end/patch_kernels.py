@@ -47,7 +47,6 @@ def cut_shaped(image: F32, points: F64, shapes: F64, radius: int) -> F32:
     h, w = image.shape
     side = 2 * radius + 1
     out = np.full((len(points), side, side), np.float32(np.nan))
-    one = np.float32(1)
     for n in range(len(points)):
         for i in range(side):
             for j in range(side):
@@ -55,11 +54,7 @@ def cut_shaped(image: F32, points: F64, shapes: F64, radius: int) -> F32:
                 x = points[n, 0] + shapes[n, 0, 0] * a + shapes[n, 0, 1] * b
                 y = points[n, 1] + shapes[n, 1, 0] * a + shapes[n, 1, 1] * b
                 if 0 <= x < w - 1 and 0 <= y < h - 1:
-                    u, v = int(x), int(y)
-                    f, g = np.float32(x - u), np.float32(y - v)
-                    upper = (one - f) * image[v, u] + f * image[v, u + 1]
-                    lower = (one - f) * image[v + 1, u] + f * image[v + 1, u + 1]
-                    out[n, i, j] = (one - g) * upper + g * lower
+                    out[n, i, j] = _at(image, x, y)
     return out
 
 
@@ -77,7 +72,6 @@ def deformed(patches: F32, shapes: F64) -> F32:
     side = patches.shape[1]
     radius = side // 2
     last = side - 1.001
-    one = np.float32(1)
     for n in range(len(patches)):
         det = shapes[n, 0, 0] * shapes[n, 1, 1] - shapes[n, 0, 1] * shapes[n, 1, 0]
         a, b = shapes[n, 1, 1] / det, -shapes[n, 0, 1] / det
@@ -90,12 +84,18 @@ def deformed(patches: F32, shapes: F64) -> F32:
             for j in range(side):
                 x = min(max(a * (j - radius) + b * (i - radius) + radius, 0.0), last)
                 y = min(max(c * (j - radius) + d * (i - radius) + radius, 0.0), last)
-                u, v = int(x), int(y)
-                f, g = np.float32(x - u), np.float32(y - v)
-                upper = (one - f) * patch[v, u] + f * patch[v, u + 1]
-                lower = (one - f) * patch[v + 1, u] + f * patch[v + 1, u + 1]
-                out[n, i, j] = (one - g) * upper + g * lower
+                out[n, i, j] = _at(patch, x, y)
     return out
+
+
+@_inlined
+def _at(image: F32, x: float, y: float) -> np.float32:
+    """Value of an image at a point that is left of and above its last pixel, bilinear."""
+    u, v = int(x), int(y)
+    f, g, one = np.float32(x - u), np.float32(y - v), np.float32(1)
+    upper = (one - f) * image[v, u] + f * image[v, u + 1]
+    lower = (one - f) * image[v + 1, u] + f * image[v + 1, u + 1]
+    return (one - g) * upper + g * lower
 
 
 @_inlined
