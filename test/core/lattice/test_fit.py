@@ -57,7 +57,8 @@ def test_a_coupled_step_solves_for_the_constraint_and_the_known_depths(fit, monk
     monkeypatch.setattr(NormalEquations, "solve_bordered", solve)
     fit.step_coupled(None)
     for one, other in zip(seen, expected.parts, strict=True):
-        np.testing.assert_array_equal(one, other)
+        # The direction is V but for a rounding of the spline's weights.
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(
