@@ -105,6 +105,11 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def mean_ratio(found: list[tuple[Any, ...]]) -> float:
+    """Geometric mean of the filter's errors of w over those of the stream."""
+    return float(np.exp(np.mean([np.log(rms(own) / rms(raw)) for raw, own, *_ in found])))
+
+
 def test_the_configuration_of_robot_localization_is_complete(
     configuration: dict[str, Any],
 ) -> None:
@@ -133,9 +138,12 @@ def test_a_filter_comes_nearer_to_the_truth_than_the_stream(
     published: list[Published], configuration: dict[str, Any]
 ) -> None:
     of_w = configuration["process_noise_covariance"][9]
-    found = [errors(stream, of_w) for stream in published]
-    ratios = [rms(filtered) / rms(raw) for raw, filtered, *_ in found]
-    assert np.exp(np.mean(np.log(ratios))) < 1
+    assert mean_ratio([errors(stream, of_w) for stream in published]) < 1
+
+
+def test_a_filter_does_no_harm(published: list[Published], configuration: dict[str, Any]) -> None:
+    of_w = configuration["process_noise_covariance"][9]
+    assert mean_ratio([errors(stream, of_w) for stream in published]) < 1.03
 
 
 @pytest.mark.xfail(
@@ -150,31 +158,33 @@ def test_a_filter_comes_nearer_by_five_percent_and_in_the_direction_too(
     of_w = configuration["process_noise_covariance"][9]
     found = [errors(stream, of_w) for stream in published]
     ratios = [rms(filtered) / rms(raw) for raw, filtered, *_ in found]
-    assert np.exp(np.mean(np.log(ratios))) < 0.95
+    assert mean_ratio(found) < 0.95
     assert sum(ratio < 1 for ratio in ratios) >= 7
     directions = np.concatenate([d for *_, d in found if d])
     assert len(directions) > 10
     assert rms(directions[:, 1]) < rms(directions[:, 0])
 
 
-def test_with_a_gyro_at_10_hz_it_is_better_still(
-    published: list[Published], configuration: dict[str, Any]
-) -> None:
-    of_w = configuration["process_noise_covariance"][9]
-    rng = np.random.default_rng(0)
-    found = [errors(stream, of_w, rng) for stream in published]
-    assert sum(len(raw) for raw, *_ in found) > 100
-    ratios = [rms(filtered) / rms(raw) for raw, filtered, *_ in found]
-    assert np.exp(np.mean(np.log(ratios))) < 0.85
+@pytest.fixture(scope="module")
+def with_gyro(published: list[Published], configuration: dict[str, Any]) -> list[Any]:
+    of_w, rng = configuration["process_noise_covariance"][9], np.random.default_rng(0)
+    return [errors(stream, of_w, rng) for stream in published]
 
 
-@pytest.mark.xfail(strict=False, reason="missed by processor: 7 of 10 on a Xeon")
+def test_with_a_gyro_at_10_hz_it_is_better_still(with_gyro: list[Any]) -> None:
+    assert sum(len(raw) for raw, *_ in with_gyro) > 100
+    assert mean_ratio(with_gyro) < 0.85
+
+
+@pytest.mark.xfail(
+    strict=False,
+    reason="missed on a Xeon, 7 of 10, since patches are slopes of the brightness; "
+    "at least 8 before",
+)
 def test_a_gyro_at_10_hz_helps_in_eight_recordings_of_ten(
-    published: list[Published], configuration: dict[str, Any]
+    published: list[Published], configuration: dict[str, Any], with_gyro: list[Any]
 ) -> None:
     of_w = configuration["process_noise_covariance"][9]
-    rng = np.random.default_rng(0)
-    found = [errors(stream, of_w, rng) for stream in published]
     alone = [errors(stream, of_w) for stream in published]
-    better = [rms(a[1]) < rms(b[1]) for a, b in zip(found, alone, strict=True)]
+    better = [rms(a[1]) < rms(b[1]) for a, b in zip(with_gyro, alone, strict=True)]
     assert sum(better) >= 8

@@ -21,6 +21,17 @@ _TAPS = outwards(gaussian(1.5))  # of a pixel, over which its structure tensor i
 _REACH = len(_TAPS) - 1
 
 
+def moves(flow: Array, settings: FrontEndSettings) -> Mask:
+    """Tell which flows (N, 2) px/s have a direction, (N,)."""
+    return np.asarray(np.linalg.norm(flow, axis=1) > settings.least_speed)
+
+
+def unit(vectors: Array) -> Array:
+    """Vectors (N, 2) of length one; zero stays."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1.0))
+
+
 def first_slopes(
     picture: Picture, points: Array, toward: Array, radius: int, settings: FrontEndSettings
 ) -> F32:

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from emoflow_ros.core.front_end.appearance import (
     completed_slopes,
     first_slopes,
+    moves,
     seen_along,
+    unit,
     visible,
 )
 from emoflow_ros.core.front_end.bearings import looked_up, on_plane
@@ -153,17 +155,7 @@ def directions(patches: Patches, flow: F32, place: Array, settings: FrontEndSett
         settings: of the front end.
     """
     along = np.linalg.solve(patches.shape, flow_at(flow, place)[..., None])[..., 0]
-    return np.where(_moves(along, settings)[:, None], _unit(along), patches.toward)
-
-
-def _moves(flow: Array, settings: FrontEndSettings) -> Mask:
-    """Whether flows (N, 2) px/s have a direction, (N,)."""
-    return np.asarray(np.linalg.norm(flow, axis=1) > settings.least_speed)
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1.0))
+    return np.where(moves(along, settings)[:, None], unit(along), patches.toward)
 
 
 def follow(
@@ -247,8 +239,8 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
     least = settings.least_score * float(np.partition(score.ravel(), high)[high])
     points = corners(score, taken, settings.distance_px, settings.border_px + 2, least, most)
     (bearing, _), flow = looked_up(camera, points), flow_at(picture.flow, points)
-    good = np.isfinite(bearing).all(axis=1) & _moves(flow, settings)
-    points, bearing, toward = points[good], bearing[good], _unit(flow[good])
+    good = np.isfinite(bearing).all(axis=1) & moves(flow, settings)
+    points, bearing, toward = points[good], bearing[good], unit(flow[good])
     count, slices = len(points), max(1, patches.found.shape[1])
     seen, root = np.zeros((count, slices, 2)), np.zeros((count, slices, 2, 2))
     found = np.zeros((count, slices), np.bool_)
