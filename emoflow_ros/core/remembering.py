@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.back_end.consistency import Revisions, covariance_factor
+from emoflow_ros.core.back_end.consistency import (
+    Experience,
+    angular_factor,
+    direction_variance,
+)
 from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.scene import depths_now, motion_field
 from emoflow_ros.core.back_end.settings import BackEndSettings
@@ -45,12 +49,12 @@ class Memory:
 
     Attributes:
         odometry: nodes, patches and what they tell.
-        revisions: of what was told before.
+        experience: of what adjustments are worth.
         end: of the last slice, ns; None before the first one.
     """
 
     odometry: State
-    revisions: Revisions
+    experience: Experience
     end: int | None = None
 
 
@@ -112,15 +116,23 @@ class RememberingEstimator:
         state = self._taken(memory.odometry, window, end, found)
         if self._is_refuted(state, found):
             state = self._taken(self._odometry.start(), window, end, found)
-        before, motion = memory.revisions, state.motion(found.t)
-        again = None if before.t is None else state.motion(before.t)
-        revision = before.after(again, self._odometry.back)
-        memory = Memory(state, Revisions(revision, found.t, motion), window.t_end)
-        return memory, found if motion is None else self._read(found, state, motion, revision)
+        memory, motion = Memory(state, memory.experience, window.t_end), state.motion(found.t)
+        if motion is None:
+            return memory, found
+        memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
+        return memory, self._read(found, state, motion, memory.experience)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
-        return Memory(self._odometry.start(), Revisions(self._odometry.back.usual_revision))
+        return Memory(self._odometry.start(), Experience.none(self._odometry.back.errors))
+
+    def _learnt(
+        self, experience: Experience, found: Estimate, state: State, motion: MotionAt
+    ) -> Experience:
+        before = experience.t
+        again = None if before is None or before < state.t[0] else state.motion(before)
+        measured, law = (found.angular, found.linear), self._odometry.back.errors
+        return experience.after(found.t, motion, again, measured, law)
 
     def _taken(self, state: State, window: Window, since: int, found: Estimate) -> State:
         """Take a window's slices since a time (ns) into a state."""
@@ -131,7 +143,7 @@ class RememberingEstimator:
         """Tell whether, with the window adjusted, w is far from its own and places do not fit.
 
         Patches of a motion that begins at once are found at wrong places, if at all. The window is
-        the lattice's then: fewer than three slices tell no motion. Revisions go on.
+        the lattice's then: fewer than three slices tell no motion. Experience stays.
         """
         motion, back = state.motion(found.t), self._odometry.back
         if motion is None or state.adjusted is None:
@@ -164,30 +176,30 @@ class RememberingEstimator:
         variance = max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + spread**2
         return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
 
-    def _read(self, found: Estimate, state: State, motion: MotionAt, revision: float) -> Estimate:
+    def _read(
+        self, found: Estimate, state: State, motion: MotionAt, experience: Experience
+    ) -> Estimate:
         """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
         back, adjusted = self._odometry.back, state.adjusted
         assert adjusted is not None
-        cost, shown = adjusted.mean_cost(back), int(state.patches.shown.sum())
-        factor = covariance_factor(motion, cost, shown, found.angular, revision, back)
-        covariance = factor * motion.covariance
-        angular, linear, model = motion.angular, np.zeros(3), MotionModel.ROTATION
+        cost, seconds = adjusted.mean_cost(back), (found.t_end - found.t_start) / NS_PER_S
         by_gyro = found.gyro.state is GyroState.USED
+        covariance = np.zeros((6, 6))
         if by_gyro:
-            angular = found.angular
-            covariance[3:, 3:] = found.covariance[3:, 3:]
-            covariance[:3, 3:] = covariance[3:, :3] = 0.0
-        speed = float(np.linalg.norm(motion.linear))
+            angular, covariance[3:, 3:] = found.angular, found.covariance[3:, 3:]
+        else:
+            seen = state.patches.times_seen
+            factor = angular_factor(experience, cost, seen, seconds, back.errors)
+            angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance
+        speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
+        linear = np.zeros(3)
         if adjusted.translates and speed > 0:
-            across = np.eye(6)
-            linear = motion.linear / speed
-            covariance[:3, :3] += back.leakage**2 * float(angular @ angular) * np.eye(3)
-            across[:3, :3] = (np.eye(3) - np.outer(linear, linear)) / speed
-            covariance = across @ covariance @ across.T
-            if np.trace(covariance[:3, :3]) / 2 < np.radians(back.widest_direction_deg) ** 2:
-                model = MotionModel.FULL
+            variance = direction_variance(experience, cost, back.errors)
+            if variance < np.radians(back.widest_direction_deg) ** 2:
+                linear, model = motion.linear / speed, MotionModel.FULL
+                covariance[:3, :3] = variance * (np.eye(3) - np.outer(linear, linear))
         if model is MotionModel.ROTATION:
-            linear, covariance = np.zeros(3), without_translation(covariance)
+            covariance = without_translation(covariance)
         assert found.motion is not None
         gyro = found.motion if by_gyro else None
         translates = model is MotionModel.FULL

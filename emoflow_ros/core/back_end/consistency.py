@@ -1,71 +1,123 @@
-"""How far the covariance of an adjustment is to be believed.
+"""How far an adjusted motion is to be believed, by what it has been found to be worth.
 
 Errors of tracks are outliers rather than noise, and a search may end in a wrong minimum: neither
 shows in the normal equations. What does show is a motion that the next adjustment revises, another
-one that the lattice measures, places that do not fit, and few patches.
+one that the lattice measures, places that do not fit, patches that were seen but a few times, and
+slow events, whose windows are long. How the variance of the error goes with these was fitted to the
+errors of random recordings (docs/experiments.md): to powers of most, exponentially to the angle.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.settings import ErrorLaw
 from emoflow_ros.core.back_end.trajectory import MotionAt
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Revisions:
-    """How much adjustments have revised what the ones before them told.
+class Experience:
+    """Running means of what shows errors that the normal equations do not.
 
     Attributes:
-        mean: squared change of the angular velocity over its covariance, per axis; running mean.
+        revised: log of the squared change of the angular velocity, as the next adjustment revises
+            it, over its covariance, per axis.
+        turned: log of the angle (rad) by which it revises the direction of translation.
+        apart: log of the distance (rad/s) to the angular velocity that the lattice measures; None
+            before the first window.
+        astray: angle (rad) to the direction that the lattice measures.
         t: the time that the last motion was told for, ns; None before one.
         motion: that was told.
     """
 
-    mean: float
+    revised: float
+    turned: float
+    apart: float | None = None
+    astray: float = 0.0
     t: int | None = None
     motion: MotionAt | None = None
 
-    def after(self, again: MotionAt | None, settings: BackEndSettings) -> float:
-        """Return the mean after another adjustment.
+    @classmethod
+    def none(cls, law: ErrorLaw) -> "Experience":
+        """What is assumed before anything is known."""
+        return cls(float(np.log(law.usual_revision)), float(np.log(law.usual_turn)))
+
+    def after(
+        self, t: int, motion: MotionAt, again: MotionAt | None, measured: tuple[Array, Array],
+        law: ErrorLaw,
+    ) -> "Experience":  # fmt: skip
+        """Learn from another adjustment.
 
         Args:
-            again: what it tells for the time `t`; None where it does not reach back.
-            settings: of the back end.
+            t: the time that it tells a motion for, ns.
+            motion: that motion.
+            again: what it tells for the time before; None where it does not reach back.
+            measured: angular velocity (3,) rad/s and direction (3,) as the lattice measures them
+                at t; the direction is zero where unknown.
+            law: what is made of it.
         """
-        if self.motion is None or again is None:
-            return self.mean
-        squared = _squared(again.angular - self.motion.angular, self.motion)
-        share = settings.revision_share
-        return (1 - share) * self.mean + share * min(squared, settings.most_revision)
+        apart = float(np.log(law.least_apart + np.linalg.norm(measured[0] - motion.angular)))
+        astray = _angle(measured[1], motion.linear, law.unknown_angle)
+        if self.apart is None:
+            return replace(self, apart=apart, astray=astray, t=t, motion=motion)
+        revised, turned = self.revised, self.turned
+        if self.motion is not None and again is not None:
+            change = again.angular - self.motion.angular
+            squared = float(change @ np.linalg.solve(self.motion.covariance, change)) / 3
+            angle = _angle(again.linear, self.motion.linear, law.unknown_angle)
+            revised = _mixed(revised, float(np.log(law.least_revision + squared)), law)
+            turned = _mixed(turned, float(np.log(law.least_turn + angle)), law)
+        return Experience(
+            revised,
+            turned,
+            _mixed(self.apart, apart, law),
+            _mixed(self.astray, astray, law),
+            t,
+            motion,
+        )
 
 
-def covariance_factor(
-    motion: MotionAt, mean_cost: float, shown: int, measured: Array, revision: float,
-    settings: BackEndSettings,
-) -> float:  # fmt: skip
-    """By how much squared errors exceed the covariance of an adjusted motion.
-
-    Its form was fitted to the errors of random recordings (docs/experiments.md).
+def angular_factor(
+    experience: Experience, cost: float, times_seen: float, seconds: float, law: ErrorLaw
+) -> float:
+    """By how much the squared error of an angular velocity exceeds its covariance.
 
     Args:
-        motion: as adjusted.
-        mean_cost: of an observation, over what it is where the covariance is right.
-        shown: number of patches that the newest slice shows.
-        measured: (3,) angular velocity as the lattice measures it, rad/s.
-        revision: mean of Revisions.
-        settings: of the back end.
+        experience: with this motion.
+        cost: of an observation on average, over what it is where the covariance is right.
+        times_seen: number of slices on average that show a patch.
+        seconds: that the window lasts, s.
+        law: what is made of it.
     """
-    misfit = max(mean_cost, settings.least_cost)
-    few = 1 / float(np.sqrt(max(shown, settings.fewest_shown)))
-    apart = 1 + _squared(measured - motion.angular, motion)
-    return settings.excess * misfit * few * apart * revision
+    assert experience.apart is not None
+    return law.angular * float(
+        np.exp(law.of_apart * experience.apart + law.of_revised * experience.revised)
+        * max(cost, law.least_cost) ** law.of_cost
+        * seconds**law.of_seconds
+        / (1 + times_seen)
+    )
 
 
-def _squared(change: Array, motion: MotionAt) -> float:
-    """Square of a change (3,) of the angular velocity over its covariance, per axis."""
-    return float(change @ np.linalg.solve(motion.covariance[3:, 3:], change)) / 3
+def direction_variance(experience: Experience, cost: float, law: ErrorLaw) -> float:
+    """Variance of the direction of translation about either axis across it, rad^2.
+
+    That of the normal equations tells hardly anything of its error. Arguments as `angular_factor`.
+    """
+    return law.direction * float(
+        np.exp(law.of_astray * experience.astray + law.of_turned * experience.turned)
+        * max(cost, law.least_cost) ** law.of_cost_direction
+    )
+
+
+def _angle(a: Array, b: Array, unknown: float) -> float:
+    """Angle between two vectors (3,), rad; `unknown` where one is zero."""
+    if not (a.any() and b.any()):
+        return unknown
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
+def _mixed(before: float, now: float, law: ErrorLaw) -> float:
+    return (1 - law.share) * before + law.share * now

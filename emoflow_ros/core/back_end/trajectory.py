@@ -23,7 +23,7 @@ class MotionAt:
     Attributes:
         angular: (3,) rad/s.
         linear: (3,) mean depths per second; zeros where the camera only rotates.
-        covariance: (6, 6) of (linear, angular).
+        covariance: (3, 3) of the angular velocity.
     """
 
     angular: Array
@@ -96,19 +96,15 @@ def along(t: Times, angular: Array, linear: Array, inverse_depth: Array) -> Unkn
 
 def motion_at(times: Times, adjusted: Adjusted, t: int) -> MotionAt:
     """Read the motion off at a time, as `interpolated`, with its covariance."""
-    angular, linear, (node, share, rotation) = interpolated(times, adjusted.x, t)
-    by_unknowns = np.zeros((NODE * len(times), 6))
+    angular, linear, (node, share) = interpolated(times, adjusted.x, t)
+    by_unknowns = np.zeros((NODE * len(times), 3))
     for k, weight in ((node, 1 - share), (node + 1, share)):
-        rates = NODE * k + 6
-        by_unknowns[rates : rates + 3, 3:] = weight * np.eye(3)
-        by_unknowns[rates + 3 : rates + 6, :3] = weight * rotation
+        by_unknowns[NODE * k + 6 : NODE * k + 9] = weight * np.eye(3)
     chosen = by_unknowns[adjusted.free]
     return MotionAt(angular, linear, chosen.T @ adjusted.covariance @ chosen)
 
 
-def interpolated(
-    times: Times, x: Unknowns, t: int
-) -> tuple[Array, Array, tuple[int, float, Array]]:
+def interpolated(times: Times, x: Unknowns, t: int) -> tuple[Array, Array, tuple[int, float]]:
     """Interpolate velocities at a time, linear between the nodes and held beyond them.
 
     Args:
@@ -118,7 +114,7 @@ def interpolated(
 
     Returns:
         Angular velocity (3,) rad/s and velocity (3,) in mean depths per second, both in the
-        camera's frame; node before t, share of the way to the next one, and rotation (3, 3) then.
+        camera's frame; node before t, and share of the way to the next one.
     """
     t = int(np.clip(t, times[0], times[-1]))
     node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
@@ -127,7 +123,7 @@ def interpolated(
     step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
     rotation = rotated(x.rotation[node], share * step)
     velocity = (1 - share) * x.velocity[node] + share * x.velocity[node + 1]
-    return angular, rotation.T @ velocity, (node, share, rotation)
+    return angular, rotation.T @ velocity, (node, share)
 
 
 @dataclass(frozen=True)

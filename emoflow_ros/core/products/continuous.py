@@ -138,13 +138,15 @@ class ContinuousEstimator:
             nothing = np.zeros(3)
             motion = Known(t, nothing, nothing, state.gauge.rest_covariance(speed))
             state, status = replace(state, measured=t), Status.STILL
+        elif speed is not None and (found.status is Status.NO_MOTION or not state.carries(t)):
+            # What is carried on into a window that shows no motion is off by more than w = 0.
+            unseen = STREAM.unseen if found.status is Status.NO_MOTION else 1.0
+            motion = _within(t, unseen * self._gauge(state).rotation_covariance(speed))
+            status = Status.BOUNDED
         elif state.motion is not None and state.carries(t):
             motion, status = carried(state.motion, t, *self._drift), Status.CARRIED
             if speed is not None:
                 motion = motion.held_against(self._gauge(state).rotation_covariance(speed))
-        elif speed is not None:
-            motion = _within(t, self._gauge(state).rotation_covariance(speed))
-            status = Status.BOUNDED
         elif state.measured is None and works(window.events):
             motion, status = _within(t, STREAM.any_w**2 * np.eye(3)), Status.BOUNDED
         elif state.measured is None:

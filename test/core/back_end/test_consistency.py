@@ -1,47 +1,95 @@
-"""What widens the covariance of an adjustment: revisions, the lattice, misfits, few patches."""
+"""How far a motion is to be believed: what is learnt of it, and what is made of that."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from emoflow_ros.core.back_end.consistency import Revisions, covariance_factor
+from emoflow_ros.core.back_end.consistency import (
+    Experience,
+    angular_factor,
+    direction_variance,
+)
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import MotionAt
 
-SETTINGS = BackEndSettings()
-W = np.array([0.1, -0.2, 0.3])
+LAW = BackEndSettings().errors
+W, V = np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 2.0])
 SD = 0.02  # rad/s
+NO_DIRECTION = np.zeros(3)
 
 
-def told(angular: np.ndarray = W) -> MotionAt:
-    return MotionAt(angular, np.zeros(3), np.diag(np.repeat([1.0, SD**2], 3)))
+def told(angular: np.ndarray = W, linear: np.ndarray = V) -> MotionAt:
+    return MotionAt(angular, linear, SD**2 * np.eye(3))
 
 
-def factor(cost: float = 1.0, shown: int = 100, apart: float = 0.0, revision: float = 0.1) -> float:
-    measured = W + np.array([apart * SD, 0.0, 0.0])
-    return covariance_factor(told(), cost, shown, measured, revision, SETTINGS)
+def turned(angle: float) -> np.ndarray:
+    return 3 * np.array([np.sin(angle), 0.0, np.cos(angle)])
 
 
-def test_the_covariance_grows_with_misfits_and_falls_with_the_number_of_patches():
-    assert factor(cost=4.0) == pytest.approx(4 * factor(cost=1.0))
-    assert factor(cost=0.1) == factor(cost=0.2)  # fewer errors than expected are not believed
-    assert factor(shown=25) == pytest.approx(2 * factor(shown=100))
-    assert factor(shown=0) == factor(shown=SETTINGS.fewest_shown)
+def first(angular: np.ndarray = W, direction: np.ndarray = V) -> Experience:
+    """After a first window with what the lattice measures."""
+    return Experience.none(LAW).after(5, told(), None, (angular, direction), LAW)
 
 
-def test_another_motion_by_the_lattice_counts_by_its_square():
-    near, far, farther = (factor(apart=n) for n in (0.0, 3.0, 6.0))
-    assert far / near == pytest.approx(1 + 3.0)
-    assert farther / near == pytest.approx(1 + 12.0)
+def test_the_first_window_sets_the_distances_to_the_lattice():
+    seen = first(W + np.array([0.0, 0.03, 0.04]), turned(0.4))
+    assert seen.apart == pytest.approx(np.log(LAW.least_apart + 0.05))
+    assert seen.astray == pytest.approx(0.4)
+    assert seen.revised == pytest.approx(np.log(LAW.usual_revision))
+    assert seen.turned == pytest.approx(np.log(LAW.usual_turn))
+    assert first(direction=NO_DIRECTION).astray == LAW.unknown_angle
+    still = Experience.none(LAW).after(5, told(linear=NO_DIRECTION), None, (W, V), LAW)
+    assert still.astray == LAW.unknown_angle
+    assert first(direction=-V).astray == pytest.approx(np.pi)
 
 
-def test_revisions_are_learnt_from_what_the_next_adjustment_changes():
-    start = Revisions(0.1)
-    assert start.after(told(), SETTINGS) == 0.1  # nothing was told before
-    before = Revisions(0.1, 5, told())
-    assert before.after(None, SETTINGS) == 0.1
-    share = SETTINGS.revision_share
-    for change, squared in ((1.0, 1 / 3), (30.0, SETTINGS.most_revision)):
-        again = told(W + np.array([0.0, change * SD, 0.0]))
-        mean = (1 - share) * 0.1 + share * squared
-        assert before.after(again, SETTINGS) == pytest.approx(mean)
-    assert factor(revision=0.4) == pytest.approx(4 * factor(revision=0.1))
+def test_what_the_next_adjustment_revises_is_learnt_by_a_share():
+    before, share = first(), LAW.share
+    again = told(W + np.array([0.0, 3 * SD, 0.0]), turned(0.1))
+    after = before.after(9, told(), again, (W, V), LAW)
+    revised = (1 - share) * before.revised + share * np.log(LAW.least_revision + 9 / 3)
+    assert after.revised == pytest.approx(revised)
+    turn = (1 - share) * before.turned + share * np.log(LAW.least_turn + 0.1)
+    assert after.turned == pytest.approx(turn)
+    assert after.t == 9
+
+
+def test_where_the_adjustment_does_not_reach_back_only_distances_are_learnt():
+    before = first()
+    after = before.after(9, told(), None, (W + np.array([0.1, 0.0, 0.0]), turned(0.2)), LAW)
+    assert (after.revised, after.turned) == (before.revised, before.turned)
+    assert after.astray == pytest.approx(LAW.share * 0.2)
+    assert before.apart is not None
+    mean = (1 - LAW.share) * before.apart + LAW.share * np.log(LAW.least_apart + 0.1)
+    assert after.apart == pytest.approx(mean)
+
+
+def factor(seen: Experience, cost: float = 1.0, times: float = 4.0, seconds: float = 0.1) -> float:
+    return angular_factor(seen, cost, times, seconds, LAW)
+
+
+def test_the_error_of_w_goes_with_the_powers_of_the_law():
+    seen = first()
+    assert seen.apart is not None
+    for other, power in (
+        (factor(replace(seen, apart=seen.apart + np.log(2))), LAW.of_apart),
+        (factor(replace(seen, revised=seen.revised + np.log(2))), LAW.of_revised),
+        (factor(seen, cost=2.0), LAW.of_cost),
+        (factor(seen, seconds=0.2), LAW.of_seconds),
+        (factor(seen, times=1.5), 1.0),
+    ):
+        assert power > 0
+        assert other / factor(seen) == pytest.approx(2**power)
+    assert factor(seen, cost=0.1) == factor(seen, cost=0.2)  # so few errors are not believed
+
+
+def test_the_error_of_the_direction_goes_with_revisions_and_the_lattice_s_direction():
+    seen = first()
+    least = direction_variance(seen, 1.0, LAW)
+    twice = direction_variance(replace(seen, turned=seen.turned + np.log(2)), 1.0, LAW)
+    assert twice / least == pytest.approx(2**LAW.of_turned)
+    astray = direction_variance(first(direction=turned(0.5)), 1.0, LAW)
+    assert astray / least == pytest.approx(np.exp(0.5 * LAW.of_astray))
+    assert direction_variance(seen, 2.0, LAW) / least == pytest.approx(2**LAW.of_cost_direction)
+    assert least == pytest.approx(LAW.direction * LAW.usual_turn**LAW.of_turned)

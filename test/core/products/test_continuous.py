@@ -20,6 +20,7 @@ from scene_streams import (
 
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.products.continuous import ContinuousEstimator, State
+from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
@@ -137,10 +138,15 @@ def test_a_motion_that_is_not_measured_is_carried_on_as_a_random_walk(stream):
     assert told[-1].status is Status.LOST
 
 
-def test_a_slow_drift_is_bounded_for_as_long_as_it_lasts(stream):
+@pytest.mark.parametrize(
+    ("status", "first"),
+    [(Status.NO_MOTION, Status.BOUNDED), (Status.TOO_FEW_EVENTS, Status.CARRIED)],
+)
+def test_a_slow_drift_is_bounded_for_as_long_as_it_lasts(stream, status, first):
+    """What was measured before is carried on only where nothing says that it has ended."""
     events = scene(lambda t: 100.0 if t < MOVES_UNTIL_S else 8.0, 3.0)
-    told = go_on(stream, after_motion(stream, events), events, 540, 3000)
-    assert {e.status for e in told} == {Status.CARRIED, Status.BOUNDED}
+    told = go_on(stream, after_motion(stream, events), events, 540, 3000, status)
+    assert {e.status for e in told} == {first, Status.BOUNDED}
     assert [e.status for e in told[10:]] == [Status.BOUNDED] * len(told[10:])
     true = np.array([0.0, -8.0 / FOCAL_PX, 0.0])
     squares = [
@@ -153,10 +159,24 @@ def test_a_slow_drift_is_bounded_for_as_long_as_it_lasts(stream):
     assert all(e.covariance[0, 0] == -1 for e in told[10:])
 
 
+def test_the_bound_is_narrower_where_nothing_is_seen_to_move(stream):
+    events = scene(lambda t: 100.0 if t < MOVES_UNTIL_S else 8.0, 2.0)
+    state, at = after_motion(stream, events), window(events, 1500)
+    late = replace(state, end=at.t_start)
+    (_, blind), (_, seen) = (
+        stream.step(late, at, replace(nothing(at), status=status))
+        for status in (Status.TOO_FEW_EVENTS, Status.NO_MOTION)
+    )
+    assert blind.status is seen.status is Status.BOUNDED
+    np.testing.assert_array_equal(seen.angular, 0)
+    np.testing.assert_allclose(seen.covariance[3:, 3:], STREAM.unseen * blind.covariance[3:, 3:])
+
+
 def test_a_scene_that_may_have_left_the_image_bounds_the_motion_loosely(stream):
     """And noise alone bounds nothing then: it may be the dark."""
     events = scene(lambda t: 100.0 if t < MOVES_UNTIL_S else 60.0 if t < 2.5 else 0.0, 4.0)
-    told = go_on(stream, after_motion(stream, events), events, 540, 3500)
+    state = after_motion(stream, events)
+    told = go_on(stream, state, events, 540, 3500, Status.TOO_FEW_EVENTS)
     statuses = [str(e.status) for e in told]
     assert list(dict.fromkeys(statuses)) == ["carried", "bounded", "lost"]
     sigma = [np.sqrt(e.covariance[4, 4]) for e in told if e.t_end < 2.5e9]
