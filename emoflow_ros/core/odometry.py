@@ -126,6 +126,17 @@ class Odometry:
         patches = choose(picture, state.patches, self.camera, self.front)
         return self._completed(self._adjusted(replace(state, patches=patches)), picture)
 
+    def scene_flow(self, state: State) -> F32:
+        """Flow (rows, columns, 2) px/s of the remembered scene at the newest node."""
+        assert state.x is not None
+        return self._scene_flow(state, expected_places(self.camera, state.patches, state.x))
+
+    def _scene_flow(self, state: State, place: Array) -> F32:
+        x, patches = state.x, state.patches
+        assert x is not None
+        depths = depths_now(patches, x, self.back.depths)
+        return rigid_flow(self.grid, place, depths, patches.shown, x.angular[-1], x.velocity[-1])
+
     def _followed(self, state: State, events: SliceEvents, hint: Hint) -> tuple[State, Slice]:
         """Draw one slice and find the patches in it."""
         if state.x is None:
@@ -178,12 +189,11 @@ class Odometry:
 
         Without the comparison a wrong memory would see what it expects.
         """
-        size, x, patches = self.camera.size, state.x, state.patches
+        size = self.camera.size
         by_lattice = drawn(events, hint.flow, size)
-        if place is None or x is None:
+        if place is None:
             return Slice.of(events.t, by_lattice, hint.flow), False
-        depths = depths_now(patches, x, self.back.depths)
-        flow = rigid_flow(self.grid, place, depths, patches.shown, x.angular[-1], x.velocity[-1])
+        flow = self._scene_flow(state, place)
         by_scene = drawn(events, flow, size)
         if sharpness(by_scene) > self.front.own_sharpness * sharpness(by_lattice):
             return Slice.of(events.t, by_scene, flow), True

@@ -25,6 +25,7 @@ from emoflow_ros.core.lattice.refinement import Depths
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.types.estimate import (
+    REMEMBERED,
     Estimate,
     Estimator,
     FlowSampler,
@@ -61,8 +62,8 @@ class Memory:
 class RememberingEstimator:
     """Adjusts the motion to positions that are remembered, window by window (an Estimator).
 
-    The lattice gives the flow, and its motion as evidence; a window without a flow is passed on
-    as it is.
+    The lattice gives the flow, and its motion as evidence. Patches are followed through windows in
+    which it sees no motion, too; others without a flow are passed on as they are.
 
     Args:
         estimator: of the windows' flow.
@@ -111,11 +112,14 @@ class RememberingEstimator:
         end = memory.end
         if end is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
             memory, end = self.nothing(), window.t_start
-        if found.flow is None:
+        seen, before = found.flow is not None, memory.odometry
+        if not seen and (found.status is not Status.NO_MOTION or before.adjusted is None):
             return replace(memory, end=end), found
-        state = self._taken(memory.odometry, window, end, found)
-        if self._is_refuted(state, found):
+        state = self._taken(before, window, end, found)
+        if seen and self._is_refuted(state, found):
             state = self._taken(self._odometry.start(), window, end, found)
+        if not (seen or self._follows(before, state)):
+            return replace(memory, end=end), found
         memory, motion = Memory(state, memory.experience, window.t_end), state.motion(found.t)
         if motion is None:
             return memory, found
@@ -136,8 +140,13 @@ class RememberingEstimator:
 
     def _taken(self, state: State, window: Window, since: int, found: Estimate) -> State:
         """Take a window's slices since a time (ns) into a state."""
-        assert found.flow is not None
-        return self._odometry.step(state, self._slices(window, since, found, found.flow))
+        return self._odometry.step(state, self._slices(state, window, since, found))
+
+    def _follows(self, before: State, state: State) -> bool:
+        """Tell whether patches were found again in a window of which no flow is known."""
+        shown = int(state.patches.shown.sum())
+        later = state.adjusted is not None and state.t[-1] > before.t[-1]
+        return later and shown >= self._odometry.back.fewest_patches
 
     def _is_refuted(self, state: State, found: Estimate) -> bool:
         """Tell whether, with the window adjusted, w is far from its own and places do not fit.
@@ -153,16 +162,20 @@ class RememberingEstimator:
         return float(apart @ apart) > back.refuted**2 and misfit > back.refuting_cost
 
     def _slices(
-        self, window: Window, since: int, found: Estimate, flow: FlowSampler
+        self, state: State, window: Window, since: int, found: Estimate
     ) -> Iterator[tuple[SliceEvents, Hint]]:
-        grid = self._on_grid(flow, found.t)
+        """Cut a window into slices; where no flow was seen, by that of the remembered scene."""
+        if found.flow is None:
+            grid = self._odometry.scene_flow(state)
+        else:
+            grid = self._on_grid(found.flow, found.t)
         measured: Measured | None = self._measured(found)
         for events in slices(
             window.events, since, window.t_end, grid, self.image.sensor_px, self._front
         ):
             at = int(np.clip(events.t, found.t_start, found.t_end))
-            hint = Hint(self._on_grid(flow, at), found.angular, found.linear, measured)
-            yield events, hint
+            flow = np.zeros_like(grid) if found.flow is None else self._on_grid(found.flow, at)
+            yield events, Hint(flow, found.angular, found.linear, measured)
             measured = None  # a window is evidence once
 
     def _on_grid(self, flow: FlowSampler, t: int) -> F32:
@@ -171,8 +184,12 @@ class RememberingEstimator:
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
     def _measured(self, found: Estimate) -> Measured:
+        """What a window says of w; that no motion is seen in it says that w is small."""
         back, by_gyro = self._odometry.back, found.gyro.state is GyroState.USED
         spread = np.radians(back.gyro_sd_deg if by_gyro else back.lattice_sd_deg)
+        if found.flow is None:
+            seconds = (found.t_end - found.t_start) / NS_PER_S
+            spread = back.unseen_px / (self.image.camera.fx * seconds)
         variance = max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + spread**2
         return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
 
@@ -200,13 +217,16 @@ class RememberingEstimator:
                 covariance[:3, :3] = variance * (np.eye(3) - np.outer(linear, linear))
         if model is MotionModel.ROTATION:
             covariance = without_translation(covariance)
-        assert found.motion is not None
         gyro = found.motion if by_gyro else None
         translates = model is MotionModel.FULL
         told = AdjustedMotion(state.t, adjusted.x, translates, found.motion, gyro)
+        quality = found.quality
+        if found.flow is None:
+            quality = replace(quality, stop_reason=REMEMBERED)
         estimate = replace(
             found,
             status=Status.OK,
+            quality=quality,
             model=model,
             linear=linear,
             angular=angular,
@@ -224,13 +244,13 @@ class RememberingEstimator:
     def _depths(self, state: State, speed: float, estimate: Estimate) -> Depths:
         """Depths of the patches that the newest slice shows, in the middle of the window."""
         patches, x = state.patches, state.x
-        assert x is not None and estimate.flow is not None
+        assert x is not None
         known = patches.shown & np.isfinite(patches.inverse_depth)
         depth = depths_now(patches, x, self._odometry.back.depths)[known]
-        newest = patches.place[known] * self.image.sensor_px
-        return Depths(
-            estimate.flow.tracks(newest, [int(state.t[-1]), estimate.t])[1], speed * depth
-        )
+        points = patches.place[known] * self.image.sensor_px
+        if estimate.flow is not None:
+            points = estimate.flow.tracks(points, [int(state.t[-1]), estimate.t])[1]
+        return Depths(points, speed * depth)
 
     def _bent(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
         """Add to a flow how the rotation in the window's middle differs from its mean.

@@ -192,6 +192,66 @@ def test_a_direction_is_told_only_where_it_is_sure_enough(calm: Run):
     assert unsure.angular.tolist() == sure.angular.tolist()
 
 
+def unseen(found: Estimate, status: Status) -> Estimate:
+    """A window of which the lattice tells nothing."""
+    quality = replace(found.quality, stop_reason=str(status))
+    return Estimate(found.t_start, found.t_end, found.t, status, quality)
+
+
+@pytest.mark.parametrize("status", [Status.NO_MOTION, Status.TOO_FEW_EVENTS])
+def test_patches_are_followed_where_the_lattice_sees_no_motion(calm: Run, status: Status):
+    estimator = LatticeEstimator(calm.recording.camera, LatticeConfig())
+    reader = RememberingEstimator(estimator, calm.recording.camera, estimator.refined)
+    memory = reader.nothing()
+    for window in calm.windows[:6]:
+        memory, _ = reader.step(memory, window, estimator.estimate(window))
+    window = calm.windows[6]
+    nothing = unseen(estimator.estimate(window), status)
+    after, told = reader.step(memory, window, nothing)
+    if status is Status.TOO_FEW_EVENTS:
+        assert told is nothing
+        assert after.odometry is memory.odometry
+        return
+    assert told.status is Status.OK
+    assert told.quality.stop_reason == "remembered"
+    assert told.by_events is Status.OK
+    assert calm.error(told) < min(3.0, 0.3 * calm.error(nothing))
+    assert told.flow is not None
+    true = calm.recording.truth.flow(told.t)
+    apart = np.linalg.norm(told.flow.velocity(told.t) - true, axis=-1)
+    assert np.nanmean(apart) < 0.3 * np.nanmean(np.linalg.norm(true, axis=-1))
+    newest = int(after.odometry.t[-1])
+    assert newest > memory.odometry.t[-1]
+    assert told.motion is not None
+    later = told.motion.angular(newest + 10 * NS_PER_MS)
+    assert later.tolist() == told.motion.angular(newest).tolist()  # nothing tells how it changes
+
+
+def test_without_a_memory_a_window_without_motion_is_passed_on(calm: Run):
+    estimator = LatticeEstimator(calm.recording.camera, LatticeConfig())
+    reader = RememberingEstimator(estimator, calm.recording.camera, estimator.refined)
+    nothing = unseen(estimator.estimate(calm.windows[0]), Status.NO_MOTION)
+    _, told = reader.step(reader.nothing(), calm.windows[0], nothing)
+    assert told is nothing
+
+
+def test_patches_that_are_lost_leave_the_window_without_a_motion(calm: Run):
+    estimator = LatticeEstimator(calm.recording.camera, LatticeConfig())
+    reader = RememberingEstimator(estimator, calm.recording.camera, estimator.refined)
+    memory = reader.nothing()
+    for window in calm.windows[:6]:
+        memory, _ = reader.step(memory, window, estimator.estimate(window))
+    window = calm.windows[6]
+    size = calm.recording.camera.size
+    only_noise = Window(
+        window.t_start, window.t_end, noise(20_000, window.t_start, window.t_end, size)
+    )
+    nothing = unseen(estimator.estimate(window), Status.NO_MOTION)
+    after, told = reader.step(memory, only_noise, nothing)
+    assert told is nothing
+    assert after.odometry is memory.odometry
+
+
 def test_patches_learn_what_a_turned_flow_shows_after_the_adjustment(calm: Run):
     camera, learnt = calm.recording.camera, []
     for turned in (0.1, 2.0):  # sine: sometimes, never

@@ -70,6 +70,8 @@ class BackEndSettings:
             is not believed.
         lattice_sd_deg, gyro_sd_deg: added to the covariance of the lattice's angular velocity, and
             of a gyro's, deg/s: successive windows overlap, and share their errors.
+        unseen_px: standard deviation of the way of the image in a window in which the lattice sees
+            no motion, px.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
         refuted, refuting_cost: distance of the lattice's angular velocity from the adjusted one in
@@ -108,6 +110,7 @@ class BackEndSettings:
     most_growth: float = 0.5
     lattice_sd_deg: float = 1.5
     gyro_sd_deg: float = 0.6
+    unseen_px: float = 1.5
     lattice_outlier: float = 20.0
     refuted: float = 9.0
     refuting_cost: float = 1.3

@@ -134,14 +134,15 @@ class AdjustedMotion:
         times: (K,) ns.
         x: the way.
         translates: whether the direction of translation is known.
-        ahead: whose change of the angular velocity goes on after the newest node, as the lattice's.
+        ahead: whose change of the angular velocity goes on after the newest node, as the lattice's;
+            None if there is none.
         by_gyro: whose angular velocity counts instead.
     """
 
     times: Times
     x: Unknowns
     translates: bool
-    ahead: Motion
+    ahead: Motion | None
     by_gyro: Motion | None = None
 
     def angular(self, t: int) -> Array:
@@ -149,8 +150,10 @@ class AdjustedMotion:
         if self.by_gyro is not None:
             return self.by_gyro.angular(t)
         newest = int(self.times[-1])
-        after = 0.0 if t <= newest else self.ahead.angular(t) - self.ahead.angular(newest)
-        return interpolated(self.times, self.x, t)[0] + after
+        own = interpolated(self.times, self.x, t)[0]
+        if t <= newest or self.ahead is None:
+            return own
+        return own + self.ahead.angular(t) - self.ahead.angular(newest)
 
     def linear(self, t: int) -> Array:
         """Direction of the linear velocity at time t (ns), (3,) unit, or zeros."""

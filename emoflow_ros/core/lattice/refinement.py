@@ -66,16 +66,19 @@ def refined(
     """Fit a flow again from where a fit is, which stays as it is.
 
     Args:
-        fit: of the window, with a motion.
+        fit: of the window.
         events: of the window.
         estimate: of the window, with the motion that is known.
         depths: of the scene, in the pixels of the fit.
 
     Returns:
-        (columns, rows, times, 2) px per window; None if there is no best flow.
+        (columns, rows, times, 2) px per window; None if there is no best flow, or no motion
+        was fitted.
     """
     seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
-    assert estimate.motion is not None and fit.motion is not None
+    assert estimate.motion is not None
+    if fit.motion is None:
+        return None
     times = np.linspace(estimate.t_start, estimate.t_end, _TIMES).astype(np.int64)
     w = seconds * np.array([estimate.motion.angular(int(t)) for t in times])
     of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)

@@ -26,7 +26,13 @@ from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.gauge import Gauge, covered, structured, works
 from emoflow_ros.core.products.motion_prior import Known, carried
 from emoflow_ros.core.products.settings import STREAM
-from emoflow_ros.core.types.estimate import Estimate, Estimator, MotionModel, Status
+from emoflow_ros.core.types.estimate import (
+    REMEMBERED,
+    Estimate,
+    Estimator,
+    MotionModel,
+    Status,
+)
 from emoflow_ros.core.types.events import NS_PER_S, Events, Window
 from emoflow_ros.core.types.gyro import GyroState
 
@@ -106,8 +112,13 @@ class ContinuousEstimator:
             state, found = replace(state, gauge=None, dark=True), _disbelieved(found)
         if found.status is not Status.OK:
             return self._unmeasured(*self._bounded(state, window, passed), window, found)
+        if found.quality.stop_reason == REMEMBERED:
+            state, speed = self._bounded(state, window, passed)
+            if _rests(state, speed):
+                return self._unmeasured(state, speed, window, found)
+            return self._unseen(state, speed, found)
         if found.by_events is not Status.OK:
-            return self._by_gyro(*self._bounded(state, window, passed), found)
+            return self._unseen(*self._bounded(state, window, passed), found)
         return self._measured(state, window, found)
 
     def _measured(self, state: State, window: Window, found: Estimate) -> tuple[State, Estimate]:
@@ -134,7 +145,8 @@ class ContinuousEstimator:
         if state.dark:
             found = replace(found, quality=replace(found.quality, stop_reason=BRIGHTNESS))
         found = replace(found, t_start=window.t_start, t_end=window.t_end, t=t)
-        if speed is not None and speed <= STREAM.rest_px_s and state.gauge is not None:
+        if _rests(state, speed):
+            assert speed is not None and state.gauge is not None
             nothing = np.zeros(3)
             motion = Known(t, nothing, nothing, state.gauge.rest_covariance(speed))
             state, status = replace(state, measured=t), Status.STILL
@@ -155,13 +167,12 @@ class ContinuousEstimator:
             return replace(state, motion=None), replace(found, status=Status.LOST)
         return replace(state, t=t, motion=motion), _told(found, motion, status, state.gauge)
 
-    def _by_gyro(
-        self, state: State, speed: float | None, found: Estimate
-    ) -> tuple[State, Estimate]:
-        """Tell what a gyro alone measures; at rest v is zero, too."""
+    def _unseen(self, state: State, speed: float | None, found: Estimate) -> tuple[State, Estimate]:
+        """Tell what a gyro, or patches, measure in a window without a motion; at rest v is zero."""
         motion = Known(found.t, found.linear, found.angular, found.covariance)
         status = Status.OK
-        if speed is not None and speed <= STREAM.rest_px_s and state.gauge is not None:
+        if _rests(state, speed):
+            assert speed is not None and state.gauge is not None
             held = motion.held_against(state.gauge.rotation_covariance(speed))
             covariance = state.gauge.rest_covariance(speed)
             covariance[3:, 3:] = held.covariance[3:, 3:]
@@ -203,6 +214,11 @@ class ContinuousEstimator:
         if min(on, 1 - on) > STREAM.one_sided or abs(on - state.on) < STREAM.apart:
             return False
         return covered(events, self._camera) > STREAM.covered
+
+
+def _rests(state: State, speed: float | None) -> bool:
+    """Tell whether a gauged scene moves no faster than that of a camera at rest, px/s."""
+    return speed is not None and speed <= STREAM.rest_px_s and state.gauge is not None
 
 
 def _disbelieved(found: Estimate) -> Estimate:
@@ -247,6 +263,7 @@ def _told(found: Estimate, motion: Known, status: Status, bound: Gauge | None) -
         linear=motion.linear,
         angular=motion.angular,
         covariance=motion.covariance,
+        flow=None,
         motion=SplineMotion(found.t_start, found.t_end, *points),
         bound=bound,
     )

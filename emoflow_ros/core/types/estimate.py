@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.types.gyro import GyroStatus
 
+REMEMBERED = "remembered"  # stop reason: by patches alone, the window itself shows no motion
 _KEPT_SPEEDS = 1000  # speeds: seconds of any odometry
 
 
@@ -102,8 +103,8 @@ class Quality:
     Attributes:
         events: events of the window that were used.
         iterations: steps of the optimiser.
-        stop_reason: `converged`, `iterations`, `deadline`, or why nothing was measured: a Status
-            value, or `brightness` where the light has changed.
+        stop_reason: `converged`, `iterations`, `deadline`, `remembered`, or why nothing was
+            measured: a Status value, or `brightness` where the light has changed.
         contrast_gain: variance of the warped over that of the unwarped image (FWL).
         residual_px: robust scale of the epipolar residual over the window, in px.
         inlier_fraction: share of the residuals within 3 robust scales.

@@ -83,6 +83,14 @@ def test_a_flow_that_cannot_be_fitted_stays_as_it_was():
     assert estimator.refined(lost, NONE).flow is found.flow
 
 
+def test_before_any_fit_no_flow_is_fitted_again():
+    recording, windows = windows_of("calm")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    found = estimator.estimate(windows[0])
+    fresh = LatticeEstimator(recording.camera, CONFIG.estimator)
+    assert fresh.refined(told(recording, replace(found, flow=None)), NONE).flow is None
+
+
 def true_depths(recording: SimulatedRecording, t: int) -> Depths:
     """Depths at some pixels, by the true flow: what rotation leaves of it, over the matrix A v."""
     rng = np.random.default_rng(0)

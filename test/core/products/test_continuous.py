@@ -21,7 +21,7 @@ from scene_streams import (
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.products.continuous import ContinuousEstimator, State
 from emoflow_ros.core.products.settings import STREAM
-from emoflow_ros.core.types.estimate import MotionModel, Status
+from emoflow_ros.core.types.estimate import REMEMBERED, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 
@@ -255,3 +255,19 @@ def test_a_gyro_at_rest_keeps_its_rate_and_the_events_tell_that_nothing_travels(
     moving = window(scene(50.0, 1.0), 600)
     _, told = stream.step(state, moving, replace(alone, t_start=moving.t_start))
     assert told.status is Status.OK and told.covariance[0, 0] == -1
+
+
+@pytest.mark.parametrize(("px_s", "status"), [(0.0, Status.STILL), (50.0, Status.OK)])
+def test_what_patches_alone_tell_counts_unless_the_camera_rests(stream, px_s, status):
+    state = after_motion(stream, stops())
+    at = window(scene(px_s, 1.0), 600)
+    found = measured(at, 20.0)
+    alone = replace(found, quality=replace(found.quality, stop_reason=REMEMBERED))
+    after, told = stream.step(state, at, alone)
+    assert told.status is status
+    if status is Status.STILL:
+        assert not told.angular.any() and told.flow is None
+        return
+    np.testing.assert_array_equal(told.angular, alone.angular)
+    assert told.flow is alone.flow and told.bound is state.gauge is after.gauge
+    assert after.measured == told.t
