@@ -47,7 +47,7 @@ QUALITY = {
     "events": Column((), "i8", "1", "events of the window that were used"),
     "iterations": Column((), "i8", "1", "steps of the optimiser"),
     "stop_reason": Column(
-        (), TEXT, "", "converged, iterations, deadline, or why the events gave nothing"
+        (), TEXT, "", "converged, iterations, deadline, remembered, or why the events gave nothing"
     ),
     "contrast_gain": Column((), "f8", "1", "variance of the warped over the unwarped event image"),
     "residual_px": Column((), "f8", "px", "robust scale of the epipolar residual"),
