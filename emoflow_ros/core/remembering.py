@@ -207,6 +207,7 @@ class RememberingEstimator:
         else:
             seen = state.patches.times_seen
             factor = angular_factor(experience, cost, seen, seconds, back.errors)
+            factor *= back.errors.alone if found.flow is None else 1.0
             angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear = np.zeros(3)

@@ -220,6 +220,12 @@ def test_patches_are_followed_where_the_lattice_sees_no_motion(calm: Run, status
     true = calm.recording.truth.flow(told.t)
     apart = np.linalg.norm(told.flow.velocity(told.t) - true, axis=-1)
     assert np.nanmean(apart) < 0.3 * np.nanmean(np.linalg.norm(true, axis=-1))
+    law = replace(BackEndSettings().errors, alone=1.0)
+    believed = RememberingEstimator(
+        estimator, calm.recording.camera, estimator.refined, back=BackEndSettings(errors=law)
+    )
+    _, sure = believed.step(memory, window, nothing)
+    assert told.covariance[3:, 3:] == pytest.approx(4 * sure.covariance[3:, 3:])
     newest = int(after.odometry.t[-1])
     assert newest > memory.odometry.t[-1]
     assert told.motion is not None

@@ -16,6 +16,7 @@ class ErrorLaw:
         angular: factor on the covariance of the angular velocity.
         of_apart, of_revised, of_cost, of_seconds: powers of its distance from the lattice's, of its
             revisions, of the cost of an observation, and of the window's length.
+        alone: factor besides where the lattice sees no motion.
         direction: factor on the variance of the direction, rad^2.
         of_astray: exponent per rad between it and the lattice's.
         of_turned, of_cost_direction: powers of the angle by which it is revised, and of the cost.
@@ -31,6 +32,7 @@ class ErrorLaw:
     of_revised: float = 0.8
     of_cost: float = 0.5
     of_seconds: float = 1.3
+    alone: float = 4.0
     direction: float = 0.12
     of_astray: float = 3.0
     of_turned: float = 1.5
