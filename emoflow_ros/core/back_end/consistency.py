@@ -4,10 +4,10 @@ Errors of tracks are outliers rather than noise, and a search may end in a wrong
 shows in the normal equations. What does show is a motion that the next adjustment revises, another
 one that the lattice measures, places that do not fit, patches that were seen but a few times, and
 slow events, whose windows are long. How the variance of the error goes with these was fitted to the
-errors of random recordings (docs/experiments.md): to powers of most, exponentially to the angle.
+errors of recordings (docs/experiments.md): to powers of most, exponentially to the angle.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Experience:
         turned: log of the angle (rad) by which it revises the direction of translation.
         apart: log of the distance (rad/s) to the angular velocity that the lattice measures; None
             before the first window.
-        astray: angle (rad) to the direction that the lattice measures.
+        astray: angle (rad) to the direction that the lattice measures; None as well.
         t: the time that the last motion was told for, ns; None before one.
         motion: that was told.
     """
@@ -36,7 +36,7 @@ class Experience:
     revised: float
     turned: float
     apart: float | None = None
-    astray: float = 0.0
+    astray: float | None = None
     t: int | None = None
     motion: MotionAt | None = None
 
@@ -61,8 +61,6 @@ class Experience:
         """
         apart = float(np.log(law.least_apart + np.linalg.norm(measured[0] - motion.angular)))
         astray = _angle(measured[1], motion.linear, law.unknown_angle)
-        if self.apart is None:
-            return replace(self, apart=apart, astray=astray, t=t, motion=motion)
         revised, turned = self.revised, self.turned
         if self.motion is not None and again is not None:
             change = again.angular - self.motion.angular
@@ -106,6 +104,7 @@ def direction_variance(experience: Experience, cost: float, law: ErrorLaw) -> fl
 
     That of the normal equations tells hardly anything of its error. Arguments as `angular_factor`.
     """
+    assert experience.astray is not None
     return law.direction * float(
         np.exp(law.of_astray * experience.astray + law.of_turned * experience.turned)
         * max(cost, law.least_cost) ** law.of_cost_direction
@@ -119,5 +118,6 @@ def _angle(a: Array, b: Array, unknown: float) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
-def _mixed(before: float, now: float, law: ErrorLaw) -> float:
-    return (1 - law.share) * before + law.share * now
+def _mixed(before: float | None, now: float, law: ErrorLaw) -> float:
+    """A running mean, which begins with the first value."""
+    return now if before is None else (1 - law.share) * before + law.share * now

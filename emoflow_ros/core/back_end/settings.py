@@ -9,8 +9,9 @@ import numpy as np
 class ErrorLaw:
     """How the variance of a motion's error goes with what shows it (core.back_end.consistency).
 
-    Fitted to the errors of 92 random recordings, each ten of them left out in turn to see what it
-    is worth (docs/experiments.md). Angles are in rad, angular velocities in rad/s, times in s.
+    Fitted to the errors of 92 recordings, 84 of them random, a tenth of them left out in turn to
+    see what it is worth (docs/experiments.md). Angles are in rad, angular velocities in rad/s,
+    times in s.
 
     Attributes:
         angular: factor on the covariance of the angular velocity.

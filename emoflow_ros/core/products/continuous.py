@@ -114,7 +114,7 @@ class ContinuousEstimator:
             return self._unmeasured(*self._bounded(state, window, passed), window, found)
         if found.quality.stop_reason == REMEMBERED:
             state, speed = self._bounded(state, window, passed)
-            if _rests(state, speed):
+            if _rest_covariance(state, speed) is not None:
                 return self._unmeasured(state, speed, window, found)
             return self._unseen(state, speed, found)
         if found.by_events is not Status.OK:
@@ -145,10 +145,9 @@ class ContinuousEstimator:
         if state.dark:
             found = replace(found, quality=replace(found.quality, stop_reason=BRIGHTNESS))
         found = replace(found, t_start=window.t_start, t_end=window.t_end, t=t)
-        if _rests(state, speed):
-            assert speed is not None and state.gauge is not None
-            nothing = np.zeros(3)
-            motion = Known(t, nothing, nothing, state.gauge.rest_covariance(speed))
+        rest = _rest_covariance(state, speed)
+        if rest is not None:
+            motion = Known(t, np.zeros(3), np.zeros(3), rest)
             state, status = replace(state, measured=t), Status.STILL
         elif speed is not None and (found.status is Status.NO_MOTION or not state.carries(t)):
             # What is carried on into a window that shows no motion is off by more than w = 0.
@@ -171,12 +170,11 @@ class ContinuousEstimator:
         """Tell what a gyro, or patches, measure in a window without a motion; at rest v is zero."""
         motion = Known(found.t, found.linear, found.angular, found.covariance)
         status = Status.OK
-        if _rests(state, speed):
-            assert speed is not None and state.gauge is not None
-            held = motion.held_against(state.gauge.rotation_covariance(speed))
-            covariance = state.gauge.rest_covariance(speed)
-            covariance[3:, 3:] = held.covariance[3:, 3:]
-            motion = Known(found.t, np.zeros(3), held.angular, covariance)
+        rest = _rest_covariance(state, speed)
+        if rest is not None:
+            held = motion.held_against(rest[3:, 3:])
+            rest[3:, 3:] = held.covariance[3:, 3:]
+            motion = Known(found.t, np.zeros(3), held.angular, rest)
             status = Status.STILL
         state = replace(state, t=found.t, motion=motion, measured=found.t)
         if status is Status.OK:
@@ -216,9 +214,11 @@ class ContinuousEstimator:
         return covered(events, self._camera) > STREAM.covered
 
 
-def _rests(state: State, speed: float | None) -> bool:
-    """Tell whether a gauged scene moves no faster than that of a camera at rest, px/s."""
-    return speed is not None and speed <= STREAM.rest_px_s and state.gauge is not None
+def _rest_covariance(state: State, speed: float | None) -> Array | None:
+    """Covariance (6, 6) at rest, where a gauged scene moves so slowly, px/s; None elsewhere."""
+    if speed is None or speed > STREAM.rest_px_s or state.gauge is None:
+        return None
+    return state.gauge.rest_covariance(speed)
 
 
 def _disbelieved(found: Estimate) -> Estimate:
