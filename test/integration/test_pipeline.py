@@ -27,14 +27,14 @@ pytestmark = pytest.mark.dds
 
 REPLAY = (sys.executable, "-m", "emoflow_ros.commands.replay")
 EVALUATE = "import sys; from emoflow_ros.commands.evaluate import main; sys.exit(main())"
-RATE = "0.15"  # so slow that no window waits, and is thinned, also on a busy machine
+RATE = "0.1"  # so slow that no window waits, and is thinned, also on a busy machine
 TOLERANCE = 1e-6  # rad/s and of a unit vector: the node's twists are the offline ones
 # A window waits 8 ms for the readings at its end, and the IMU is best effort: on a busy machine
 # windows go without some readings, and later ones start from a slightly different estimate. The
 # slower the replay, the less of the recording such a pause covers.
 USED = 0.5
 GYRO_TOLERANCE = 5e-3  # rad/s and of a unit vector: a quarter of the gyro's bias
-RATES = (RATE, "0.05", "0.02")
+RATES = (RATE, "0.04", "0.02")
 START = 1_500_000_000_000_000_000
 
 
@@ -82,11 +82,6 @@ def evaluate(bag: Path, *options: str) -> list[Window]:
 
 def stamps(peer: Peer) -> list[int]:
     return [t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in peer.twists]
-
-
-def image_stamp(peer: Peer) -> int:
-    stamp = peer.images[-1].header.stamp
-    return stamp.sec * 10**9 + stamp.nanosec
 
 
 def start(
@@ -159,15 +154,11 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     statuses: list[DiagnosticStatus] = []
     peer.node.create_subscription(DiagnosticStatus, "/egomotion/status", statuses.append, 100)
     start(peer, node, processes, bag)
+    peer.spin_until(lambda: len(peer.twists) == len(expected), "the last twist")
+    # Where time is short a picture is left out, perhaps the last one, but no window.
     peer.spin_until(
-        lambda: (
-            len(peer.images) > 0 and len(peer.twists) > 0 and stamps(peer)[-1] == expected[-1].t
-            and image_stamp(peer) == expected[-1].t
-        ),
-        "twist and flow of the last window",
-    )  # fmt: skip
-    peer.spin_until(
-        lambda: peer.status().get("windows_ok") == str(len(expected)), "the count of all windows"
+        lambda: peer.images and peer.status().get("windows_ok") == str(len(expected)),
+        "a picture and the count of all windows",
     )
     assert peer.status()["windows_dropped"] == "0"
 
@@ -193,7 +184,8 @@ def test_node_publishes_what_the_estimator_finds_and_that_is_true(
     # So is the flow: px/s at the same time, u right and v down.
     last = peer.images[-1]
     flow = np.frombuffer(last.data, "<f4").reshape(last.height, last.width, 2)
-    true_flow = recording.truth.flow(stamps(peer)[-1])
+    assert to_ns(last.header.stamp) in stamps(peer)
+    true_flow = recording.truth.flow(to_ns(last.header.stamp))
     valid = np.isfinite(flow).all(axis=2) & np.isfinite(true_flow).all(axis=2)
     assert valid.mean() > 0.5
     wrong = np.linalg.norm(flow - true_flow, axis=2)[valid].mean()
