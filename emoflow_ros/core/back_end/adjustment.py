@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, Observations, Unknowns
-from emoflow_ros.core.back_end.descent import descend
+from emoflow_ros.core.back_end.descent import descend, linearised
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 
@@ -78,14 +78,15 @@ def adjust(
     Raises:
         numpy.linalg.LinAlgError: the equations are not positive definite, or nothing is finite.
     """
-    free = free_unknowns(len(start.position), translates)
-    x, cost, squares, matrix = descend(observations, start, prior, outlier, steps, free, depths)
+    free = free_unknowns(len(start.position), translates=translates)
+    x, cost = descend(observations, start, prior, outlier, steps, free, depths)
     if not np.isfinite(cost):
         raise np.linalg.LinAlgError("the cost is not finite")
+    squares, matrix = linearised(observations, x, prior, outlier, free)
     return Adjusted(x, cost, squares, matrix, free, translates)
 
 
-def free_unknowns(nodes: int, translates: bool) -> NDArray[np.int64]:
+def free_unknowns(nodes: int, *, translates: bool) -> NDArray[np.int64]:
     """Indices of the unknowns that are adjusted: not the newest pose."""
     unknown = np.ones((nodes, NODE), np.bool_)
     unknown[-1, :6] = False

@@ -215,8 +215,9 @@ def observe(o: Observations, x: Unknowns, outlier: float, equations: Equations) 
             cross[j, POSE * k + a] += ra * rows[0, 12] + rb * rows[1, 12]
             cross[j, POSE * i + a] += sa * rows[0, 12] + sb * rows[1, 12]
             for b in range(POSE):
-                matrix[u + a, u + b] += ra * rows[0, b] + rb * rows[1, b]
                 matrix[u + a, v + b] += ra * rows[0, POSE + b] + rb * rows[1, POSE + b]
+            for b in range(a + 1):
+                matrix[u + a, u + b] += ra * rows[0, b] + rb * rows[1, b]
                 matrix[v + a, v + b] += sa * rows[0, POSE + b] + sb * rows[1, POSE + b]
     for j in range(len(o.anchor)):
         precision = 1.0 / o.depth_sd[j] ** 2

@@ -33,8 +33,8 @@ _compiled = njit(nogil=True)
 def descend(
     o: Observations, start: Unknowns, prior: Prior, outlier: float, steps: int, free: Index,
     depths: tuple[float, float],
-) -> tuple[Unknowns, float, Array, Array]:  # fmt: skip
-    """Descend from a start.
+) -> tuple[Unknowns, float]:  # fmt: skip
+    """Descend from a start to unknowns and their cost.
 
     Args:
         o: observations of at least one patch.
@@ -46,21 +46,11 @@ def descend(
             held at one place, and depths stay.
         depths: least and largest inverse depth.
 
-    Returns:
-        Unknowns, their cost, squares (O,) of the observations over their variance, and normal
-        equations (U, U) of the free unknowns, depths taken out.
-
     Raises:
         numpy.linalg.LinAlgError: the equations are not positive definite.
     """
     translates = len(free) > _AT_ONE_PLACE * len(start.position)
-    poses, patches = POSE * len(start.position), len(o.anchor)
-    size = NODE * len(start.position)
-    squares = np.empty(len(o.patch))
-    e = Equations(
-        np.empty((size, size)), np.empty(size), np.empty((patches, poses)), np.empty(patches),
-        np.empty(patches),
-    )  # fmt: skip
+    squares, e = np.empty(len(o.patch)), _equations(o, start)
     x = start
     if not translates:
         x = Unknowns(
@@ -82,9 +72,33 @@ def descend(
             damping *= 5
         if gained < _LEAST_GAIN * now:
             break
+    return x, now
+
+
+@_compiled
+def linearised(
+    o: Observations, x: Unknowns, prior: Prior, outlier: float, free: Index
+) -> tuple[Array, Array]:
+    """Squares (O,) of the observations over their variance, and normal equations at `descend`'s x.
+
+    Returns:
+        Squares, and the equations (U, U) of the free unknowns, depths taken out.
+    """
+    squares, e = np.empty(len(o.patch)), _equations(o, x)
+    observation_cost(o, x, outlier, squares)
     share, share_right = _linearise(o, x, prior, outlier, e)
     _take(e.matrix, e.right, share, share_right, 1.0)
-    return x, _cost(o, x, prior, outlier, squares), squares, _chosen(e.matrix, free)
+    return squares, _chosen(e.matrix, free)
+
+
+@_compiled
+def _equations(o: Observations, x: Unknowns) -> Equations:
+    """Room for equations."""
+    poses, patches, size = POSE * len(x.position), len(o.anchor), NODE * len(x.position)
+    return Equations(
+        np.empty((size, size)), np.empty(size), np.empty((patches, poses)), np.empty(patches),
+        np.empty(patches),
+    )  # fmt: skip
 
 
 @_compiled

@@ -7,12 +7,13 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
+from emoflow_ros.core.back_end.adjustment import Adjusted, adjust, free_unknowns
 from emoflow_ros.core.back_end.adjustment_kernels import (
     Observations,
     Unknowns,
     likeliest_depths,
 )
+from emoflow_ros.core.back_end.descent import descend
 from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
@@ -41,38 +42,40 @@ def best(
     Returns:
         None if all diverge.
     """
-    tight = ((settings.outlier, settings.steps),)
     with ThreadPoolExecutor(1) as beside:  # where a core is free, guesses take no time
         guesses = [beside.submit(_guessed, problem, x, prior, settings) for x in others]
-        found = _adjusted(problem, start, prior, tight, settings)
-    for made in (guess.result() for guess in guesses):
-        if made is None or (found is not None and made.cost > settings.promising * found.cost):
+        found = _adjusted(problem, start, prior, settings)
+    for guess in filter(None, (guess.result() for guess in guesses)):
+        if found is not None and guess[1] > settings.promising * found.cost:
             continue
-        further = _adjusted(problem, made.x, prior, tight, settings) or made
-        if found is None or further.cost < found.cost:
+        further = _adjusted(problem, guess[0], prior, settings)
+        if further is not None and (found is None or further.cost < found.cost):
             found = further
     return found
 
 
 def _guessed(
     problem: Observations, x: Unknowns, prior: Prior, settings: BackEndSettings
-) -> Adjusted | None:
-    """Adjust from a guess of the way alone, its depths being the likeliest ones."""
+) -> tuple[Unknowns, float] | None:
+    """Adjust from a guess of the way alone, its depths being the likeliest ones.
+
+    Returns:
+        With its cost; None if it diverges.
+    """
+    free, cost = free_unknowns(len(x.position), translates=True), np.inf
     x = x._replace(inverse_depth=likeliest_depths(problem, x, settings.outlier))
-    return _adjusted(problem, x, prior, settings.guess, settings)
+    with suppress(np.linalg.LinAlgError):
+        for outlier, steps in settings.guess:
+            x, cost = descend(problem, x, prior, outlier, steps, free, settings.depths)
+    return (x, cost) if np.isfinite(cost) else None
 
 
 def _adjusted(
-    problem: Observations, x: Unknowns, prior: Prior, plan: tuple[tuple[float, int], ...],
-    settings: BackEndSettings,
-) -> Adjusted | None:  # fmt: skip
-    """Adjust with one bound of outliers after another, each for some steps; None if it diverges."""
-    found = None
+    problem: Observations, x: Unknowns, prior: Prior, settings: BackEndSettings
+) -> Adjusted | None:
+    """Adjust from a start; None if it diverges."""
     with suppress(np.linalg.LinAlgError):
-        for outlier, steps in plan:
-            found = adjust(problem, x, prior, outlier, steps, settings.depths)
-            x = found.x
-        return found
+        return adjust(problem, x, prior, settings.outlier, settings.steps, settings.depths)
     return None
 
 

@@ -116,14 +116,23 @@ def interpolated(times: Times, x: Unknowns, t: int) -> tuple[Array, Array, tuple
         Angular velocity (3,) rad/s and velocity (3,) in mean depths per second, both in the
         camera's frame; node before t, and share of the way to the next one.
     """
-    t = int(np.clip(t, times[0], times[-1]))
-    node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
-    share = float((t - times[node]) / (times[node + 1] - times[node]))
-    angular = (1 - share) * x.angular[node] + share * x.angular[node + 1]
+    node, share = _between(times, t)
     step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
     rotation = rotated(x.rotation[node], share * step)
-    velocity = (1 - share) * x.velocity[node] + share * x.velocity[node + 1]
-    return angular, rotation.T @ velocity, (node, share)
+    velocity = _mixed(x.velocity, node, share)
+    return _mixed(x.angular, node, share), rotation.T @ velocity, (node, share)
+
+
+def _between(times: Times, t: int) -> tuple[int, float]:
+    """Node before a time, the first or last one at most, and share of the way to the next one."""
+    t = min(max(t, int(times[0])), int(times[-1]))
+    node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
+    return node, float((t - times[node]) / (times[node + 1] - times[node]))
+
+
+def _mixed(values: Array, node: int, share: float) -> Array:
+    """Mean of the values (K, 3) of a node and the next one."""
+    return np.asarray((1 - share) * values[node] + share * values[node + 1])
 
 
 @dataclass(frozen=True)
@@ -150,7 +159,7 @@ class AdjustedMotion:
         if self.by_gyro is not None:
             return self.by_gyro.angular(t)
         newest = int(self.times[-1])
-        own = interpolated(self.times, self.x, t)[0]
+        own = _mixed(self.x.angular, *_between(self.times, t))
         if t <= newest or self.ahead is None:
             return own
         return own + self.ahead.angular(t) - self.ahead.angular(newest)

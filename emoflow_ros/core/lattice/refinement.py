@@ -18,6 +18,7 @@ from emoflow_ros.core.lattice.belief import (
     Structure,
 )
 from emoflow_ros.core.lattice.egomotion import Motion
+from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
@@ -43,19 +44,25 @@ class Depths:
     points: Array
     inverse_depth: Array
 
-    def structure(self, nodes: Array, spacing: float, seconds: float) -> Structure:
+    def structure(self, lattice: Lattice, seconds: float) -> Structure:
         """Spread them over nodes: certain where many points of one depth are near.
 
         Args:
-            nodes: (M, 2) px.
-            spacing: between them, px.
+            lattice: its nodes, in the pixels of the points.
             seconds: length of the window.
         """
-        squared = ((nodes[:, None] - self.points) ** 2).sum(axis=-1)
-        weight = np.exp(-0.5 * squared / (LATTICE.spread * spacing) ** 2)
+        pixels = lattice.pixels.reshape(lattice.columns, lattice.rows, 2)
+        reach = LATTICE.spread / float(lattice.per_px[0])
         rho = seconds * self.inverse_depth
-        number = weight.sum(axis=1)
-        mean, square = (weight @ value / np.maximum(number, 1e-9) for value in (rho, rho**2))
+        # Gaussians of the distance, by column and by row
+        x, y = (
+            np.exp(-0.5 * ((nodes[:, None] - self.points[:, d]) / reach) ** 2)
+            for d, nodes in enumerate((pixels[:, 0, 0], pixels[0, :, 1]))
+        )
+        number, total, squares = (
+            ((x * value) @ y.T).ravel() for value in (np.ones_like(rho), rho, rho**2)
+        )
+        mean, square = (value / np.maximum(number, 1e-9) for value in (total, squares))
         variance = np.maximum(square - mean**2, 0) + (LATTICE.own_sd * mean) ** 2 + _LEAST
         return Structure(mean, number / variance)
 
@@ -90,7 +97,7 @@ def refined(
     if estimate.translation_observable:
         v = np.tile(estimate.linear, (CONTROL_POINTS, 1))
         again.motion, again.front = Motion(points, v), 1.0
-        again.structure = depths.structure(again.lattice.pixels, again.config.spacing_px, seconds)
+        again.structure = depths.structure(again.lattice, seconds)
         prior = _prior(w[_TIMES // 2], estimate, seconds)
     else:
         again.motion = replace(fit.motion, w=points)

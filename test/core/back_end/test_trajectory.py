@@ -25,7 +25,7 @@ def test_nodes_reach_far_back_where_slices_are_short(step_ms):
     newest = times[-SETTINGS.newest :]
     assert (np.diff(newest) == step_ms).all()
     earlier = np.diff(times[: -SETTINGS.newest])
-    apart = -(-60 // step_ms) * step_ms
+    apart = -(-round(1e3 * SETTINGS.apart_s) // step_ms) * step_ms
     assert (earlier == apart).all()
     assert len(times) == SETTINGS.slices
 

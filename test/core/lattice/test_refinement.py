@@ -8,6 +8,7 @@ import pytest
 from emoflow_ros.config import load_config
 from emoflow_ros.core.back_end.scene import motion_field
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.refinement import Depths
 from emoflow_ros.core.types.estimate import Estimate, MotionModel
 from emoflow_ros.core.types.events import Window, WindowSlicer
@@ -117,10 +118,13 @@ def test_depths_that_are_known_help():
 
 
 def test_depths_are_certain_where_points_agree():
-    nodes = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0]])
-    points = np.array([[0.0, 0.0], [1.0, 0.0], [99.0, 0.0], [101.0, 0.0]])
-    structure = Depths(points, np.array([2.0, 2.0, 1.0, 3.0])).structure(nodes, 20.0, 0.5)
-    assert structure.inverse_depth[:2] == pytest.approx([1.0, 1.0])
-    assert structure.information[0] == pytest.approx(2 / 0.1**2, rel=0.01)
-    assert structure.information[1] == pytest.approx(2 / (0.5**2 + 0.1**2), rel=0.01)
-    assert structure.information[2] == pytest.approx(0.0)
+    lattice = Lattice(401, 201, 5, 3)  # nodes 100 px apart
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [199.0, 100.0], [201.0, 100.0]])
+    structure = Depths(points, np.array([2.0, 2.0, 1.0, 3.0])).structure(lattice, 0.5)
+    mean, information = (
+        values.reshape(5, 3) for values in (structure.inverse_depth, structure.information)
+    )
+    assert [mean[0, 0], mean[2, 1]] == pytest.approx([1.0, 1.0], rel=1e-3)
+    assert information[0, 0] == pytest.approx(2 / 0.1**2, rel=0.01)
+    assert information[2, 1] == pytest.approx(2 / (0.5**2 + 0.1**2), rel=0.01)
+    assert information[4, 2] == pytest.approx(0.0, abs=0.5)
