@@ -31,7 +31,8 @@ from emoflow_ros.core.back_end.trajectory import (
     without_node,
 )
 from emoflow_ros.core.back_end.walks import Walks
-from emoflow_ros.core.front_end.patches import Patches, choose, completed, follow
+from emoflow_ros.core.front_end.following import choose, completed, follow
+from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, drawn, flow_at, sharpness
 from emoflow_ros.core.geometry.camera import Camera

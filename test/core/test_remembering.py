@@ -7,7 +7,6 @@ import pytest
 
 from emoflow_ros.config import load_config
 from emoflow_ros.core.back_end.settings import BackEndSettings
-from emoflow_ros.core.front_end.appearance import seen_along
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
@@ -202,8 +201,9 @@ def test_patches_learn_what_a_turned_flow_shows_after_the_adjustment(calm: Run):
         for window in calm.windows[:6]:
             memory, _ = reader.step(memory, window, lattice.estimate(window))
         patches = memory.odometry.patches
-        first = seen_along(patches.full, patches.toward)
-        across = seen_along(patches.full, patches.toward[:, ::-1] * [-1, 1])
+        u, v = patches.toward.astype(np.float32).T[..., None, None]
+        along_x, along_y = patches.full.transpose(1, 0, 2, 3)
+        first, across = u * along_x + v * along_y, u * along_y - v * along_x
         # Slopes that were never corrected are zero where the first flow showed no event.
         learnt.append(np.abs(across[first == 0]).max(initial=0.0))
     assert learnt[0] > 0.01

@@ -36,7 +36,7 @@ from emoflow_ros.simulation.recording import simulate
 
 assert _Worker(make_estimator)._warm_up().keys() == {{"compiled"}}
 before = compiled()
-assert before["emoflow_ros.core.front_end.patch_kernels.cut_shaped"]  # that a turn needs
+assert before["emoflow_ros.core.front_end.appearance_kernels.cut_shaped"]  # that a turn needs
 config = load_config()
 for scene in ("calm", "rotation"):
     recording = simulate(scene, duration_s=0.9, seed=0)

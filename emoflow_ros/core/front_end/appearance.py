@@ -8,7 +8,8 @@ known, and looks different once the flow has turned.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.front_end.patch_kernels import cut, cut_shaped
+from emoflow_ros.core.front_end.appearance_kernels import cut_shaped, learn
+from emoflow_ros.core.front_end.patch_kernels import cut
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Picture
 from emoflow_ros.core.numerics.smoothing import gaussian, outwards, smooth
@@ -60,15 +61,24 @@ def first_slopes(
     return np.stack([along_x * share, along_y * share], axis=1)
 
 
-def seen_along(slopes: F32, toward: Array) -> F32:
-    """Events (N, side, side) that slopes (N, 2, side, side) show along u (N, 2)."""
-    u, v = toward.astype(np.float32).T[..., None, None]
-    return np.asarray(u * slopes[:, 0] + v * slopes[:, 1])
+def power(slopes: F32) -> Array:
+    """Sums (N, 2, 2) P over each patch of products of its slopes (N, 2, side, side).
+
+    The square of what they show along u is u . P u.
+    """
+    flat = slopes.reshape(*slopes.shape[:2], slopes.shape[2] * slopes.shape[3])
+    return (flat @ flat.transpose(0, 2, 1)).astype(np.float64)
 
 
-def visible(slopes: F32, first: Array, toward: Array, settings: FrontEndSettings) -> Mask:
-    """Tell which patches show enough along u (N, 2) of what they showed at `first` (N, 2), (N,)."""
-    now, then = (_product(e, e) for e in (seen_along(slopes, u) for u in (toward, first)))
+def visible(of_slopes: Array, first: Array, toward: Array, settings: FrontEndSettings) -> Mask:
+    """Tell which patches show enough along u (N, 2) of what they showed at `first` (N, 2), (N,).
+
+    Args:
+        of_slopes: (N, 2, 2) their `power`.
+        first, toward: u.
+        settings: of the front end.
+    """
+    then, now = (np.einsum("ni,nij,nj->n", u, of_slopes, u) for u in (first, toward))
     return np.asarray(now >= settings.visible**2 * then)
 
 
@@ -78,10 +88,9 @@ def completed_slopes(
 ) -> F32:  # fmt: skip
     """Learn the slopes across the first flow from events along another one.
 
-    Least mean squares (Widrow and Hoff, 1960). What the first flow has shown stays as it was. How
-    strongly edges fire now is told by all that is expected, so that slopes which are new come out
-    a third too small: what was seen first counts more. Nothing is learnt off the image, and of
-    patches that do not look as expected.
+    What the first flow has shown stays as it was. How strongly edges fire now is told by all that
+    is expected, so that slopes which are new come out a third too small: what was seen first counts
+    more. Nothing is learnt off the image, and of patches that do not look as expected.
 
     Args:
         slopes: (N, 2, side, side) that are known.
@@ -93,19 +102,6 @@ def completed_slopes(
         settings: of the front end.
     """
     found = cut_shaped(picture.image, place, shape, slopes.shape[-1] // 2)
-    inside = np.isfinite(found)
-    found = np.where(inside, found, np.float32(0))
-    across = np.stack([-first[:, 1], first[:, 0]], axis=1)
-    sine = (toward * across).sum(axis=1, keepdims=True)
-    expected = np.where(inside, seen_along(slopes, toward), np.float32(0))
-    both, power = _product(expected, found), _product(expected, expected)
-    good = both > settings.correlation * np.sqrt(power * _product(found, found))
-    gain = np.divide(power, both, out=np.zeros_like(both), where=good).astype(np.float32)
-    error = np.where(good[:, None, None], gain[:, None, None] * found - expected, np.float32(0))
-    step = (settings.learning * sine * across).astype(np.float32)
-    return np.asarray(slopes + step[..., None, None] * error[:, None])
-
-
-def _product(a: F32, b: F32) -> Array:
-    """Inner products (N,) of images (N, side, side)."""
-    return np.asarray(np.einsum("nij,nij->n", a, b, dtype=np.float64))
+    learnt = slopes.copy()
+    learn(learnt, found, first, toward, settings.learning, settings.correlation)
+    return learnt

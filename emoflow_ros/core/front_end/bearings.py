@@ -6,8 +6,10 @@ from numpy.typing import NDArray
 from emoflow_ros.core.front_end.patch_kernels import INDEPENDENT
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.numerics.jit import njit
 
 Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
 
 
 def on_plane(
@@ -35,13 +37,21 @@ def looked_up(camera: Camera, place: Array) -> tuple[Array, Array]:
     Quicker than `Camera.undistort`. Linear between whole pixels; NaN off the image and where the
     lens has no inverse.
     """
-    low = np.floor(np.nan_to_num(place, nan=-1.0)).astype(np.int64)
-    inside = ((low >= 0) & (low < np.array(camera.size) - 1)).all(axis=1)
-    low = np.where(inside[:, None], low, 0)
-    x, y = (place - low).T[..., None]
-    column, row = low.T
-    maps = camera.bearings
-    above = (1 - x) * maps[row, column] + x * maps[row, column + 1]
-    below = (1 - x) * maps[row + 1, column] + x * maps[row + 1, column + 1]
-    bearing = np.where(inside[:, None], (1 - y) * above + y * below, np.nan)
-    return bearing, camera.flow_jacobian[row, column].astype(np.float64)
+    return _looked_up(camera.bearings, camera.flow_jacobian, place)
+
+
+@njit(nogil=True)
+def _looked_up(maps: F32, jacobians: F32, place: Array) -> tuple[Array, Array]:
+    height, width = maps.shape[:2]
+    bearing, jacobian = np.empty((len(place), 2)), np.empty((len(place), 2, 2))
+    for n in range(len(place)):
+        x, y = place[n, 0], place[n, 1]
+        inside = 0 <= x < width - 1 and 0 <= y < height - 1
+        j, i = (int(x), int(y)) if inside else (0, 0)
+        x, y = x - j, y - i
+        jacobian[n] = jacobians[i, j]
+        for d in range(2):
+            above = (1 - x) * maps[i, j, d] + x * maps[i, j + 1, d]
+            below = (1 - x) * maps[i + 1, j, d] + x * maps[i + 1, j + 1, d]
+            bearing[n, d] = (1 - y) * above + y * below if inside else np.nan
+    return bearing, jacobian

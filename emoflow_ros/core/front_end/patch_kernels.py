@@ -12,7 +12,6 @@ F64 = NDArray[np.float64]
 
 # Share of the larger information below which the smaller one may be chance: an edge.
 EDGE = 0.15
-UNSEEN_PX = 0.2  # that a deformation moves a patch's border by, and need not be drawn
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -30,72 +29,6 @@ def cut(image: F32, points: F64, radius: int) -> F32:
     for n in range(len(points)):
         _sample(image, points[n, 0] - radius, points[n, 1] - radius, out[n])
     return out
-
-
-@_compiled
-def cut_shaped(image: F32, points: F64, shapes: F64, radius: int) -> F32:
-    """Cut patches (N, side, side), side = 2 radius + 1, whose offsets shapes have multiplied.
-
-    NaN off the image.
-
-    Args:
-        image: (h, w).
-        points: (N, 2) px of their middles.
-        shapes: (N, 2, 2).
-        radius: px.
-    """
-    h, w = image.shape
-    side = 2 * radius + 1
-    out = np.full((len(points), side, side), np.float32(np.nan))
-    for n in range(len(points)):
-        for i in range(side):
-            for j in range(side):
-                a, b = j - radius, i - radius
-                x = points[n, 0] + shapes[n, 0, 0] * a + shapes[n, 0, 1] * b
-                y = points[n, 1] + shapes[n, 1, 0] * a + shapes[n, 1, 1] * b
-                if 0 <= x < w - 1 and 0 <= y < h - 1:
-                    out[n, i, j] = _at(image, x, y)
-    return out
-
-
-@_compiled
-def deformed(patches: F32, shapes: F64) -> F32:
-    """Draw patches (N, side, side) as they look once their offsets are multiplied by shapes.
-
-    Where that moves the border by less than UNSEEN_PX they stay as they are.
-
-    Args:
-        patches: as they were; beyond their border the border's values go on.
-        shapes: (N, 2, 2), of a determinant above zero.
-    """
-    out = np.empty_like(patches)
-    side = patches.shape[1]
-    radius = side // 2
-    last = side - 1.001
-    for n in range(len(patches)):
-        det = shapes[n, 0, 0] * shapes[n, 1, 1] - shapes[n, 0, 1] * shapes[n, 1, 0]
-        a, b = shapes[n, 1, 1] / det, -shapes[n, 0, 1] / det
-        c, d = -shapes[n, 1, 0] / det, shapes[n, 0, 0] / det
-        patch = patches[n]
-        if (abs(a - 1) + abs(b) + abs(c) + abs(d - 1)) * radius < UNSEEN_PX:
-            out[n] = patch
-            continue
-        for i in range(side):
-            for j in range(side):
-                x = min(max(a * (j - radius) + b * (i - radius) + radius, 0.0), last)
-                y = min(max(c * (j - radius) + d * (i - radius) + radius, 0.0), last)
-                out[n, i, j] = _at(patch, x, y)
-    return out
-
-
-@_inlined
-def _at(image: F32, x: float, y: float) -> np.float32:
-    """Value of an image at a point that is left of and above its last pixel, bilinear."""
-    u, v = int(x), int(y)
-    f, g, one = np.float32(x - u), np.float32(y - v), np.float32(1)
-    upper = (one - f) * image[v, u] + f * image[v, u + 1]
-    lower = (one - f) * image[v + 1, u] + f * image[v + 1, u + 1]
-    return (one - g) * upper + g * lower
 
 
 @_inlined
