@@ -178,9 +178,9 @@ def completed(
         (half, picture.half, place[chosen] / 2 - 0.25),
     ):
         slopes[chosen] = completed_slopes(slopes[chosen], scale, at, shape, first, now, settings)
-    products_of = patches.power.copy()
-    products_of[chosen] = power(half[chosen])
-    return replace(patches, full=full, half=half, power=products_of)
+    of_half = patches.power.copy()
+    of_half[chosen] = power(half[chosen])
+    return replace(patches, full=full, half=half, power=of_half)
 
 
 def _align(
