@@ -149,17 +149,17 @@ class RememberingEstimator:
         return later and shown >= self._odometry.back.fewest_patches
 
     def _is_refuted(self, state: State, found: Estimate) -> bool:
-        """Tell whether, with the window adjusted, w is far from its own and places do not fit.
+        """Tell whether, with the window adjusted, w is far from its own and patches are lost.
 
-        Patches of a motion that begins at once are found at wrong places, if at all. The window is
-        the lattice's then: fewer than three slices tell no motion. Experience stays.
+        Those of a motion that begins at once are looked for at wrong places. The window is the
+        lattice's then: fewer than three slices tell no motion. Experience stays.
         """
         motion, back = state.motion(found.t), self._odometry.back
-        if motion is None or state.adjusted is None:
+        if motion is None:
             return False
         apart = self._measured(found).root @ (found.angular - motion.angular)
-        misfit = state.adjusted.mean_cost(back)
-        return float(apart @ apart) > back.refuted**2 and misfit > back.refuting_cost
+        kept = state.patches.kept(self._front.patience)
+        return float(apart @ apart) > back.refuted**2 and kept < back.refuting_share
 
     def _slices(
         self, state: State, window: Window, since: int, found: Estimate

@@ -46,7 +46,7 @@ def best(
         guesses = [beside.submit(_guessed, problem, x, prior, settings) for x in others]
         found = _adjusted(problem, start, prior, settings)
     for guess in filter(None, (guess.result() for guess in guesses)):
-        if found is not None and guess[1] > settings.promising * found.cost:
+        if found is not None and guess[1] > found.cost:
             continue
         further = _adjusted(problem, guess[0], prior, settings)
         if further is not None and (found is None or further.cost < found.cost):

@@ -77,10 +77,10 @@ class BackEndSettings:
             no motion, px.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
             its covariance is believed.
-        refuted, refuting_cost: distance of the lattice's angular velocity from the adjusted one in
-            standard deviations, with what is added to its covariance, and mean robust cost of an
-            observation over `expected_cost`. Beyond both the memory is forgotten: a motion has
-            begun at once.
+        refuted, refuting_share: distance of the lattice's angular velocity from the adjusted one in
+            standard deviations, with what is added to its covariance, and share of the patches that
+            the newest slice shows still. Above the one and below the other the memory is forgotten:
+            a motion has begun at once.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         surely_translates: cost per patch from which that is checked now and then only.
         check_every: adjustments between such checks.
@@ -93,12 +93,11 @@ class BackEndSettings:
         settled_s: that the nodes reach back before the flow is fitted again with their motion, s.
         steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
-        promising: cost after these over the least so far up to which a guess is adjusted further.
     """
 
-    slices: int = 14
+    slices: int = 10
     newest: int = 5
-    apart_s: float = 0.06
+    apart_s: float = 0.1
     fewest_patches: int = 12
     outlier: float = 2.0
     angular_walk_deg: float = 40.0
@@ -116,7 +115,7 @@ class BackEndSettings:
     unseen_px: float = 1.5
     lattice_outlier: float = 20.0
     refuted: float = 9.0
-    refuting_cost: float = 1.3
+    refuting_share: float = 0.6
     rotation_cost: float = 1.25
     surely_translates: float = 3.75
     check_every: int = 3
@@ -130,7 +129,6 @@ class BackEndSettings:
     steps: int = 5
     rotation_steps: int = 6
     guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
-    promising: float = 1.05
 
     @property
     def angular_walk(self) -> float:

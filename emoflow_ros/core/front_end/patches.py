@@ -80,6 +80,11 @@ class Patches:
         """Those that were missing in so many of the newest slices at most, (N,)."""
         return self.found[:, -1 - patience :].any(axis=1)
 
+    def kept(self, patience: int) -> float:
+        """Share of those followed so far that the newest slice shows; 1 if there were none."""
+        before = self.found[:, -2 - patience : -1].any(axis=1)
+        return float(self.found[before, -1].mean()) if before.any() else 1.0
+
     @property
     def first(self) -> Index:
         """The first slice that shows each, (N,)."""

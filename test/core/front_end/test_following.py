@@ -205,6 +205,23 @@ def test_a_patch_is_waited_for_five_nodes_long(missing):
     assert patches.shown.mean() == (0.0 if missing > SETTINGS.patience else 1.0)
 
 
+def test_patches_that_were_waited_for_count_as_lost():
+    patches = Patches.none()
+    assert patches.kept(2) == 1.0
+    image = texture()
+    patches = first(image)
+    assert patches.kept(2) == 1.0
+    found = np.array([[1, 1, 1, 1], [0, 1, 0, 1], [0, 1, 0, 0], [1, 0, 0, 1]], np.bool_)
+    patches = patches.at(np.arange(len(patches)) < 4)
+    patches = replace(
+        patches, found=found, seen=np.tile(patches.seen[:, :1], (1, 4, 1)),
+        root=np.tile(patches.root[:, :1], (1, 4, 1, 1)),
+    )  # fmt: skip
+    assert patches.kept(0) == 1.0  # of the first alone
+    assert patches.kept(1) == 2 / 3  # the third was seen just before
+    assert patches.kept(2) == 3 / 4
+
+
 def test_along_a_noisy_edge_a_patch_stays_where_it_is_expected():
     rng = np.random.default_rng(3)
     edge = np.zeros((120, 160))
