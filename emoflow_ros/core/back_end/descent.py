@@ -114,7 +114,7 @@ def _linearise(
     """Set the equations up, and return what the depths take off them."""
     e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
     observe(o, x, outlier, e)
-    motion_prior(x, prior, e.matrix, e.right, True)
+    motion_prior(x, prior, e.matrix, e.right)
     return share_of_depths(e)
 
 
@@ -140,8 +140,9 @@ def _step(
     small = _chosen(reduced, free)
     for a in range(len(free)):
         small[a, a] += damping * e.matrix[free[a], free[a]] + _REGULAR
-    nodes = np.zeros(len(e.right))
-    nodes[free] = _solved(small, reduced_right[free])
+    nodes, solved = np.zeros(len(e.right)), _solved(small, reduced_right[free])
+    for a in range(len(free)):
+        nodes[free[a]] = solved[a]
     poses = np.empty(e.cross.shape[1])
     for k in range(len(poses) // POSE):
         poses[POSE * k : POSE * (k + 1)] = nodes[NODE * k : NODE * k + POSE]
@@ -179,13 +180,20 @@ def _moved(
     x: Unknowns, nodes: Array, depth: Array, bounds: tuple[float, float], translates: bool
 ) -> Unknowns:
     """Add steps of the nodes (12 K,) and of the depths (J,), which stay without translation."""
-    step = nodes.reshape(len(x.position), NODE)
-    rotation = np.empty_like(x.rotation)
-    for k in range(len(rotation)):
-        rotation[k] = rotated(x.rotation[k], step[k, :3])
-    rho = x.inverse_depth
+    after = Unknowns(
+        x.rotation.copy(), x.position.copy(), x.angular.copy(), x.velocity.copy(),
+        x.inverse_depth.copy(),
+    )  # fmt: skip
+    for k in range(len(x.position)):
+        step = nodes[NODE * k : NODE * (k + 1)]
+        turned = rotated(x.rotation[k], step[:3])
+        for i in range(3):
+            after.position[k, i] += step[3 + i]
+            after.angular[k, i] += step[POSE + i]
+            after.velocity[k, i] += step[POSE + 3 + i]
+            for j in range(3):
+                after.rotation[k, i, j] = turned[i, j]
     if translates:
-        rho = np.minimum(np.maximum(rho + depth, bounds[0]), bounds[1])
-    return Unknowns(
-        rotation, x.position + step[:, 3:6], x.angular + step[:, 6:9], x.velocity + step[:, 9:], rho
-    )
+        for j in range(len(depth)):
+            after.inverse_depth[j] = min(max(x.inverse_depth[j] + depth[j], bounds[0]), bounds[1])
+    return after

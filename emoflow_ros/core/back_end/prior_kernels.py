@@ -56,7 +56,7 @@ def rotation_vector(matrix: Array) -> tuple[float, float, float]:
 
 
 @_compiled
-def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: bool) -> float:
+def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> float:
     """Add the motion prior to the normal equations, and return its cost.
 
     Between nodes white noise drives the accelerations (Barfoot, State Estimation for Robotics,
@@ -66,10 +66,9 @@ def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: 
     Args:
         x: where it is linearised.
         prior: its strength, and what was measured.
-        matrix, right: of the nodes, changed if `build`.
-        build: whether to add to them.
+        matrix, right: of the nodes, changed; nothing is added to empty ones.
     """
-    cost = 0.0
+    cost, build = 0.0, len(right) > 0
     rows = np.zeros((2, 4 * 3))  # by rotation (or position) and rate at both nodes
     places = np.empty(12, np.int64)
     relative, step = np.empty((3, 3)), np.empty(3)
@@ -123,13 +122,13 @@ def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: 
                 u = NODE * k + 9 + a
                 matrix[u, u] += slow
                 right[u] -= slow * x.velocity[k, a]
-    return cost + _measured(x, prior, matrix, right, build)
+    return cost + _measured(x, prior, matrix, right)
 
 
 @_compiled
-def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: bool) -> float:
+def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> float:
     """Add measured angular velocities, and return their robust cost."""
-    cost = 0.0
+    cost, build = 0.0, len(right) > 0
     for m in range(len(prior.measured_node)):
         k, share = prior.measured_node[m], prior.measured_share[m]
         error, squares = np.empty(3), 0.0
@@ -165,4 +164,4 @@ def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array, build: boo
 @_compiled
 def prior_cost(x: Unknowns, prior: Prior) -> float:
     """Cost of the motion prior alone."""
-    return motion_prior(x, prior, np.empty((0, 0)), np.empty(0), False)
+    return motion_prior(x, prior, np.empty((0, 0)), np.empty(0))

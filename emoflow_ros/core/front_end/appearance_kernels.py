@@ -49,11 +49,12 @@ def templates(slopes: F32, chosen: Index, toward: F64, shapes: F64) -> F32:
         det = shapes[n, 0, 0] * shapes[n, 1, 1] - shapes[n, 0, 1] * shapes[n, 1, 0]
         a, b = shapes[n, 1, 1] / det, -shapes[n, 0, 1] / det
         c, d = -shapes[n, 1, 0] / det, shapes[n, 0, 0] / det
-        if (abs(a - 1) + abs(b) + abs(c) + abs(d - 1)) * radius < UNSEEN_PX:
-            out[m] = shown
-            continue
+        same = (abs(a - 1) + abs(b) + abs(c) + abs(d - 1)) * radius < UNSEEN_PX
         for i in range(side):
             for j in range(side):
+                if same:
+                    out[m, i, j] = shown[i, j]
+                    continue
                 x = min(max(a * (j - radius) + b * (i - radius) + radius, 0.0), last)
                 y = min(max(c * (j - radius) + d * (i - radius) + radius, 0.0), last)
                 out[m, i, j] = _at(shown, x, y)

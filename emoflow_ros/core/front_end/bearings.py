@@ -49,8 +49,8 @@ def _looked_up(maps: F32, jacobians: F32, place: Array) -> tuple[Array, Array]:
         inside = 0 <= x < width - 1 and 0 <= y < height - 1
         j, i = (int(x), int(y)) if inside else (0, 0)
         x, y = x - j, y - i
-        jacobian[n] = jacobians[i, j]
         for d in range(2):
+            jacobian[n, d, 0], jacobian[n, d, 1] = jacobians[i, j, d, 0], jacobians[i, j, d, 1]
             above = (1 - x) * maps[i, j, d] + x * maps[i, j + 1, d]
             below = (1 - x) * maps[i + 1, j, d] + x * maps[i + 1, j + 1, d]
             bearing[n, d] = (1 - y) * above + y * below if inside else np.nan

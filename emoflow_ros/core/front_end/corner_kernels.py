@@ -9,11 +9,12 @@ from emoflow_ros.core.numerics.jit import njit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 
-@_compiled
 def corners(score: F32, taken: F64, distance: int, border: int, least: float, most: int) -> F64:
     """Choose the highest scores that lie apart from each other and from points that are taken.
 
@@ -28,6 +29,14 @@ def corners(score: F32, taken: F64, distance: int, border: int, least: float, mo
     Returns:
         (M, 2) px, M <= most, the highest score first.
     """
+    free = _free(score, taken, distance, border)
+    where, value = _peaks(score, free, border, least)
+    return _chosen(where[np.argsort(-value)], free, distance, most)
+
+
+@_compiled
+def _free(score: F32, taken: F64, distance: int, border: int) -> Mask:
+    """Mask (h, w) of where points may be chosen."""
     h, w = score.shape
     free = np.zeros((h, w), np.bool_)
     free[border : h - border, border : w - border] = True
@@ -35,6 +44,13 @@ def corners(score: F32, taken: F64, distance: int, border: int, least: float, mo
         j, i = round(taken[n, 0]), round(taken[n, 1])
         free[max(0, i - distance) : max(0, i + distance + 1),
              max(0, j - distance) : max(0, j + distance + 1)] = False  # fmt: skip
+    return free
+
+
+@_compiled
+def _peaks(score: F32, free: Mask, border: int, least: float) -> tuple[Index, F32]:
+    """Places (N,) in the flat image, and scores, of what is higher than its neighbours."""
+    h, w = score.shape
     count = 0
     where, value = np.empty(h * w, np.int64), np.empty(h * w, np.float32)
     for i in range(max(1, border), h - max(1, border)):
@@ -45,11 +61,16 @@ def corners(score: F32, taken: F64, distance: int, border: int, least: float, mo
                 if peak and s > score[i, j + 1] and s > score[i + 1, j]:
                     where[count], value[count] = i * w + j, s
                     count += 1
-    order = np.argsort(-value[:count])
+    return where[:count], value[:count]
+
+
+@_compiled
+def _chosen(peaks: Index, free: Mask, distance: int, most: int) -> F64:
+    """Take peaks in turn, each if none before it is near, as points (M, 2) px."""
     chosen = np.empty((most, 2))
-    found = 0
-    for k in order:
-        i, j = where[k] // w, where[k] % w
+    found, w = 0, free.shape[1]
+    for peak in peaks:
+        i, j = peak // w, peak % w
         if found == most:
             break
         if free[i, j]:

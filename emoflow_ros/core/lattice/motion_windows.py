@@ -12,7 +12,6 @@ from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.preparation import reduction
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
-from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.core.stream.thinning import first_of_latest
 from emoflow_ros.core.types.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.types.events import Window, WindowPolicy
@@ -113,19 +112,8 @@ class MotionWindows:
         """Length of path that 90 % of the image's pixels keep to in the part, px."""
         length = part.t_end - part.t_start
         times = [part.t_start + leg * length // _LEGS for leg in range(_LEGS + 1)]
-        return _path_length(flow.tracks(self._grid, times), LATTICE.fast)
-
-
-@njit(nogil=True)
-def _path_length(positions: NDArray[np.float64], share: float) -> float:
-    """Length, px, that a share of the paths through positions (times, N, 2) px keeps to."""
-    length = np.zeros(positions.shape[1])
-    for leg in range(len(positions) - 1):
-        for i in range(len(length)):
-            x = positions[leg + 1, i, 0] - positions[leg, i, 0]
-            y = positions[leg + 1, i, 1] - positions[leg, i, 1]
-            length[i] += np.sqrt(x * x + y * y)
-    return float(np.quantile(length, share))
+        legs = np.diff(flow.tracks(self._grid, times), axis=0)
+        return float(np.quantile(np.linalg.norm(legs, axis=-1).sum(axis=0), LATTICE.fast))
 
 
 class MotionChange:

@@ -75,8 +75,8 @@ def best_rotations(
                 _add_squares(of_size, along, length, matrix, vector)
             for i in range(3):
                 matrix[i, i] += shrinking
-            w[m] = _solve(_regular(matrix), vector)
-            w0, w1, w2 = w[m, 0], w[m, 1], w[m, 2]
+            w0, w1, w2 = _solve(_regular(matrix), vector)
+            w[m, 0], w[m, 1], w[m, 2] = w0, w1, w2
             moved, reach = 0.0, 1e-9
             for n in range(nodes):
                 r = side[n] - across[0, n] * w0 - across[1, n] * w1 - across[2, n] * w2
@@ -86,7 +86,7 @@ def best_rotations(
                 moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX**2)
                 reach += weight[n] * of_length[n] * squared[n]
             share, scale = depths, moved / reach
-            shrinking = falling / (w[m] @ w[m] + (_LEAST_FLOW_PX / px_per_rad) ** 2)
+            shrinking = falling / (w0 * w0 + w1 * w1 + w2 * w2 + (_LEAST_FLOW_PX / px_per_rad) ** 2)
         ahead, behind, sizes = 0.0, 0.0, 0.0
         for n in range(nodes):
             r, q = side[n], length[n]
@@ -124,7 +124,7 @@ def _add_squares(weight: F64, rows: F64, values: F64, matrix: F64, vector: F64) 
 
 
 @_compiled
-def _solve(matrix: F64, vector: F64) -> F64:
+def _solve(matrix: F64, vector: F64) -> tuple[float, float, float]:
     """Solve a symmetric positive definite system (3, 3), by its Cholesky factor; else NaN."""
     a = np.sqrt(matrix[0, 0])
     b, c = matrix[1, 0] / a, matrix[2, 0] / a
@@ -135,7 +135,7 @@ def _solve(matrix: F64, vector: F64) -> F64:
     y = (vector[1] - b * x) / d
     z = (vector[2] - c * x - e * y) / f / f
     y = (y - e * z) / d
-    return np.array([(x - b * y - c * z) / a, y, z])
+    return (x - b * y - c * z) / a, y, z
 
 
 @_compiled
@@ -144,7 +144,6 @@ def size_of_rotation(w: F64, px_per_rad: float) -> float:
     return float(np.log((w @ w) * px_per_rad**2 + _LEAST_FLOW_PX**2))
 
 
-@_compiled
 def best_rotation(
     b: F64, flow: F64, evidence: F64, usable: NDArray[np.bool_], inlier: float, reweightings: int,
     known: F64, information: F64,
@@ -158,31 +157,42 @@ def best_rotation(
     Returns:
         w (3,), and the robust cost.
     """
-    nodes = len(flow)
-    weight, r2, w = np.ones(nodes), np.zeros(nodes), np.zeros(3)
+    weight, r2, w = np.ones(len(flow)), np.empty(len(flow)), np.zeros(3)
     cost = 0.0
     for _ in range(reweightings):
-        matrix, vector = information.copy(), information @ known
-        for n in range(nodes):
-            for i in range(3):
-                px = b[n, 0, i] * evidence[n, 0, 0] + b[n, 1, i] * evidence[n, 0, 1]
-                py = b[n, 0, i] * evidence[n, 0, 1] + b[n, 1, i] * evidence[n, 1, 1]
-                vector[i] += weight[n] * (px * flow[n, 0] + py * flow[n, 1])
-                for j in range(3):
-                    matrix[i, j] += weight[n] * (px * b[n, 0, j] + py * b[n, 1, j])
-        w = np.linalg.solve(_regular(matrix), vector)
-        cost = _surprise(w - known, information)
-        for n in range(nodes):
-            x, y = flow[n, 0], flow[n, 1]
-            for j in range(3):
-                x -= b[n, 0, j] * w[j]
-                y -= b[n, 1, j] * w[j]
-            r2[n] = x * x + y * y
-            cost += _robust(x, y, evidence[n], inlier)
-        scale = max(inlier**2, 2 * np.median(r2[usable]))
-        for n in range(nodes):
-            weight[n] = 1 / (1 + r2[n] / scale) ** 2
+        cost = _refit(b, flow, evidence, weight, inlier, known, information, w, r2)
+        scale = max(inlier**2, 2 * float(np.median(r2[usable])))
+        weight = 1 / (1 + r2 / scale) ** 2
     return w, cost
+
+
+@_compiled
+def _refit(
+    b: F64, flow: F64, evidence: F64, weight: F64, inlier: float, known: F64, information: F64,
+    w: F64, r2: F64,
+) -> float:  # fmt: skip
+    """Fit a pure rotation w (3,) by weighted least squares, and return its robust cost.
+
+    w and the squares (nodes,) of what it leaves of the flow are written.
+    """
+    matrix, vector = information.copy(), information @ known
+    for n in range(len(flow)):
+        for i in range(3):
+            px = b[n, 0, i] * evidence[n, 0, 0] + b[n, 1, i] * evidence[n, 0, 1]
+            py = b[n, 0, i] * evidence[n, 0, 1] + b[n, 1, i] * evidence[n, 1, 1]
+            vector[i] += weight[n] * (px * flow[n, 0] + py * flow[n, 1])
+            for j in range(3):
+                matrix[i, j] += weight[n] * (px * b[n, 0, j] + py * b[n, 1, j])
+    w[0], w[1], w[2] = _solve(_regular(matrix), vector)
+    cost = _surprise(w - known, information)
+    for n in range(len(flow)):
+        x, y = flow[n, 0], flow[n, 1]
+        for j in range(3):
+            x -= b[n, 0, j] * w[j]
+            y -= b[n, 1, j] * w[j]
+        r2[n] = x * x + y * y
+        cost += _robust(x, y, evidence[n], inlier)
+    return cost
 
 
 @_compiled

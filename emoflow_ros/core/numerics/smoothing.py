@@ -38,7 +38,9 @@ def smooth(images: F32, taps: Taps) -> None:
     row = np.zeros(w + 2 * reach, np.float32)
     for n in range(number):
         image = images[n]
-        padded[reach : reach + h] = image
+        for i in range(h):  # numba compiles a loop sooner than a slice that is set
+            for j in range(w):
+                padded[reach + i, j] = image[i, j]
         for i in range(h):
             for j in range(w):
                 total = taps[0] * padded[i + reach, j]
