@@ -64,10 +64,12 @@ def test_patches_tell_the_motion_and_the_flow_is_fitted_with_it(warm: Warm):
 
 
 def test_such_a_motion_is_less_sure(warm: Warm):
-    believing = BackEndSettings(errors=replace(BackEndSettings().errors, alone=1.0))
+    law = BackEndSettings().errors
+    believing = BackEndSettings(errors=replace(law, alone=1.0))
     _, told = warm.reader().step(warm.memory, warm.window, warm.nothing)
     _, sure = warm.reader(believing).step(warm.memory, warm.window, warm.nothing)
-    assert told.covariance[3:, 3:] == pytest.approx(4 * sure.covariance[3:, 3:])
+    assert law.alone == 2.0
+    assert told.covariance[3:, 3:] == pytest.approx(2 * sure.covariance[3:, 3:])
 
 
 @pytest.mark.parametrize("status", [Status.TOO_FEW_EVENTS, Status.DIVERGED])

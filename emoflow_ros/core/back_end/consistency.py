@@ -95,7 +95,7 @@ def angular_factor(
         np.exp(law.of_apart * experience.apart + law.of_revised * experience.revised)
         * max(cost, law.least_cost) ** law.of_cost
         * seconds**law.of_seconds
-        / (1 + times_seen)
+        * (1 + times_seen) ** law.of_seen
     )
 
 

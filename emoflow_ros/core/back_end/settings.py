@@ -9,14 +9,15 @@ import numpy as np
 class ErrorLaw:
     """How the variance of a motion's error goes with what shows it (core.back_end.consistency).
 
-    Fitted to the errors of 92 recordings, 84 of them random, a tenth of them left out in turn to
+    Fitted to the errors of 87 recordings, 84 of them random, a sixth of them left out in turn to
     see what it is worth (docs/experiments.md). Angles are in rad, angular velocities in rad/s,
     times in s.
 
     Attributes:
         angular: factor on the covariance of the angular velocity.
-        of_apart, of_revised, of_cost, of_seconds: powers of its distance from the lattice's, of its
-            revisions, of the cost of an observation, and of the window's length.
+        of_apart, of_revised, of_cost, of_seconds, of_seen: powers of its distance from the
+            lattice's, of its revisions, of the cost of an observation, of the window's length, and
+            of the number of slices that show a patch.
         alone: factor besides where the lattice sees no motion.
         direction: factor on the variance of the direction, rad^2.
         of_astray: exponent per rad between it and the lattice's.
@@ -28,12 +29,13 @@ class ErrorLaw:
         unknown_angle: that counts where a direction is unknown.
     """
 
-    angular: float = 16500.0
-    of_apart: float = 0.8
-    of_revised: float = 0.8
-    of_cost: float = 0.5
-    of_seconds: float = 1.3
-    alone: float = 4.0
+    angular: float = 90000.0
+    of_apart: float = 1.0
+    of_revised: float = 0.75
+    of_cost: float = 0.75
+    of_seconds: float = 1.0
+    of_seen: float = -2.0
+    alone: float = 2.0
     direction: float = 0.12
     of_astray: float = 3.0
     of_turned: float = 1.5

@@ -106,6 +106,8 @@ class PresentMotion:
         change = expected.copy()
         free = 6 if scene.translates else 3
         fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
+        of_fit = covariance[:3, :3].copy()
+        surprise = change[:3] - scene.predicted_change(middle)
         if fitted:  # the slice shows the change since; what the window took for either motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
@@ -115,14 +117,15 @@ class PresentMotion:
             late = max(0.0, at_end[1] - by_gyro[1] - PRESENT.live_gap)
             covariance[:3, :3] += late * np.eye(3)
         elif fitted or by_gyro is not None:
-            surprise = change[:3] - expected[:3]
-            unforeseen = change[:3] - scene.predicted_change(middle)
+            drift = self._drift
+            covariance[:3, :3] += _squared(surprise)
             change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
-            drift[:3] = _drift_by(self._drift[0], unforeseen, max(since, PRESENT.least_since_s))
-            covariance[:3, :3] += PRESENT.change_error * float(surprise @ surprise) / 3 * np.eye(3)
         else:
             change[:3] = scene.predicted_change(window.t_end)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
+        if fitted and by_gyro is None:
+            covariance[:3] = covariance[:, :3] = 0.0
+            covariance[:3, :3] = _error_of_w(scene, of_fit, surprise)
         found = _read(window.t_end, scene, change, covariance)
         if found is None:
             return None
@@ -180,15 +183,22 @@ class PresentMotion:
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
 
-def _drift_by(configured: float, unforeseen: Array, seconds: float) -> float:
-    """Drift of w, (rad/s)^2 per second, by what its change in the last `seconds` was off by.
+def _error_of_w(scene: SeenScene, of_fit: Array, surprise: Array) -> Array:
+    """Covariance (3, 3) of w that a slice has told, as it was found to be (docs/experiments.md).
 
-    "Off" is the change (3,) less that which the window predicts.
-    The mean of an expected value, which counts as much as one such change, and the change's own: a
-    camera that shakes goes on shaking, and a calm one stays calm.
+    Args:
+        scene: with the covariance at the middle of the window.
+        of_fit: (3, 3) of the change of w, as the slice and what is known before tell it.
+        surprise: (3,) by how much that change differs from what was expected: a camera that shakes
+            goes on shaking, and a calm one stays calm.
     """
-    expected = PRESENT.expected_drift**2 * configured
-    return 0.5 * (expected + float(unforeseen @ unforeseen) / (3 * seconds))
+    by_window = PRESENT.of_window * scene.covariance[:3, :3]
+    return by_window + PRESENT.of_fit * of_fit + _squared(surprise)
+
+
+def _squared(surprise: Array) -> Array:
+    """Covariance (3, 3) of an error as large as a surprise (3,), in any direction."""
+    return float(surprise @ surprise) / 3 * np.eye(3)
 
 
 def _is_frozen(window: Window) -> bool:

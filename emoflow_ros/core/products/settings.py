@@ -91,13 +91,11 @@ class PresentSettings:
             may have changed much.
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
-        change_error: variance of the change of w that was not predicted over its square: the scene
-            has moved since, and its depths are not exact.
+        of_window, of_fit: factors on the covariances of w in the window's middle and of its change,
+            that explain with the square of what was not expected the error of w now.
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
         too_fast: w over what the events allow that cannot be, in standard deviations: their speed
             is known within a factor of two.
-        expected_drift: share of the configured drift that is expected: what most recordings show.
-        least_since_s: least time over which a change tells of the drift, s.
         mean_ns: time on either side whose readings of a gyro are averaged, ns.
         gyro_error: standard deviation of a difference of two such means, rad/s.
         gyro_fresh_ns: largest age of the newest reading where the gyro alone tells the motion, ns.
@@ -110,11 +108,10 @@ class PresentSettings:
     fewest_events: int = 300
     steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
-    change_error: float = 0.2
+    of_window: float = 2.8
+    of_fit: float = 0.05
     newest_ns: int = 20_000_000
     too_fast: float = 3.0
-    expected_drift: float = 0.15
-    least_since_s: float = 0.01
     mean_ns: int = 5_000_000
     gyro_error: float = radians(0.5)
     gyro_fresh_ns: int = 20_000_000

@@ -77,7 +77,7 @@ def test_the_error_of_w_goes_with_the_powers_of_the_law():
         (factor(replace(seen, revised=seen.revised + np.log(2))), LAW.of_revised),
         (factor(seen, cost=2.0), LAW.of_cost),
         (factor(seen, seconds=0.2), LAW.of_seconds),
-        (factor(seen, times=1.5), 1.0),
+        (factor(seen, times=1.5), -LAW.of_seen),
     ):
         assert power > 0
         assert other / factor(seen) == pytest.approx(2**power)
