@@ -151,7 +151,7 @@ class RememberingEstimator:
     def _is_refuted(self, state: State, found: Estimate) -> bool:
         """Tell whether, with the window adjusted, w is far from its own and patches are lost.
 
-        Those of a motion that begins at once are looked for at wrong places. The window is the
+        When a motion begins at once, they are looked for at wrong places. The window is the
         lattice's then: fewer than three slices tell no motion. Experience stays.
         """
         motion, back = state.motion(found.t), self._odometry.back

@@ -31,7 +31,7 @@ def corners(score: F32, taken: F64, distance: int, border: int, least: float, mo
     """
     free = _free(score, taken, distance, border)
     where, value = _peaks(score, free, border, least)
-    return _chosen(where[np.argsort(-value)], free, distance, most)
+    return _chosen(where[np.argsort(-value, kind="stable")], free, distance, most)
 
 
 @_compiled
@@ -66,7 +66,7 @@ def _peaks(score: F32, free: Mask, border: int, least: float) -> tuple[Index, F3
 
 @_compiled
 def _chosen(peaks: Index, free: Mask, distance: int, most: int) -> F64:
-    """Take peaks in turn, each if none before it is near, as points (M, 2) px."""
+    """Take peaks in turn, each if none before it is near, as points (M, 2) px; `free` changes."""
     chosen = np.empty((most, 2))
     found, w = 0, free.shape[1]
     for peak in peaks:

@@ -38,7 +38,7 @@ def smooth(images: F32, taps: Taps) -> None:
     row = np.zeros(w + 2 * reach, np.float32)
     for n in range(number):
         image = images[n]
-        for i in range(h):  # numba compiles a loop sooner than a slice that is set
+        for i in range(h):  # compiled faster than an assignment to a slice
             for j in range(w):
                 padded[reach + i, j] = image[i, j]
         for i in range(h):

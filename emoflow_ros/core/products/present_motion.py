@@ -94,20 +94,19 @@ class PresentMotion:
         by_gyro = scene.change_by_gyro(gyro, middle)
         if scene.known is None and not _is_fresh(window):
             by_gyro = None
-        drift, expected = self._drift.copy(), np.zeros(6)
+        drift, change = self._drift.copy(), np.zeros(6)
         since = max(0, middle - scene.t) / NS_PER_S
         if by_gyro is None:
-            expected[:3], variance = scene.predicted_change(middle), 0.0
+            change[:3], variance = scene.predicted_change(middle), 0.0
         else:
-            expected[:3], variance = by_gyro
+            change[:3], variance = by_gyro
             drift[:3] = 0.0
         covariance = scene.covariance + np.diag(drift * since)
         covariance[:3, :3] += variance * np.eye(3)
-        change = expected.copy()
         free = 6 if scene.translates else 3
         fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
-        of_fit = covariance[:3, :3].copy()
         surprise = change[:3] - scene.predicted_change(middle)
+        of_w = _error_of_w(scene, covariance[:3, :3], surprise)
         if fitted:  # the slice shows the change since; what the window took for either motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
@@ -118,14 +117,14 @@ class PresentMotion:
             covariance[:3, :3] += late * np.eye(3)
         elif fitted or by_gyro is not None:
             drift = self._drift
-            covariance[:3, :3] += _squared(surprise)
+            covariance[:3, :3] += PRESENT.of_surprise * _squared(surprise)
             change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
         else:
             change[:3] = scene.predicted_change(window.t_end)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
         if fitted and by_gyro is None:
             covariance[:3] = covariance[:, :3] = 0.0
-            covariance[:3, :3] = _error_of_w(scene, of_fit, surprise)
+            covariance[:3, :3] = of_w
         found = _read(window.t_end, scene, change, covariance)
         if found is None:
             return None
@@ -187,13 +186,13 @@ def _error_of_w(scene: SeenScene, of_fit: Array, surprise: Array) -> Array:
     """Covariance (3, 3) of w that a slice has told, as it was found to be (docs/experiments.md).
 
     Args:
-        scene: with the covariance at the middle of the window.
+        scene: with the window's covariance.
         of_fit: (3, 3) of the change of w, as the slice and what is known before tell it.
         surprise: (3,) by how much that change differs from what was expected: a camera that shakes
             goes on shaking, and a calm one stays calm.
     """
     by_window = PRESENT.of_window * scene.covariance[:3, :3]
-    return by_window + PRESENT.of_fit * of_fit + _squared(surprise)
+    return by_window + PRESENT.of_fit * of_fit + PRESENT.of_surprise * _squared(surprise)
 
 
 def _squared(surprise: Array) -> Array:

@@ -91,8 +91,8 @@ class PresentSettings:
             may have changed much.
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
-        of_window, of_fit: factors on the covariances of w in the window's middle and of its change,
-            that explain with the square of what was not expected the error of w now.
+        of_window, of_fit, of_surprise: the covariance of w now is that of the window's w, that of
+            its change by the slice, and the square of the surprise, times these.
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
         too_fast: w over what the events allow that cannot be, in standard deviations: their speed
             is known within a factor of two.
@@ -110,6 +110,7 @@ class PresentSettings:
     fades_s: float = 0.06
     of_window: float = 2.8
     of_fit: float = 0.05
+    of_surprise: float = 0.5
     newest_ns: int = 20_000_000
     too_fast: float = 3.0
     mean_ns: int = 5_000_000

@@ -216,5 +216,5 @@ def test_a_camera_that_shakes_goes_on_shaking_after_the_last_reading() -> None:
         change = found.twist.angular - known.motion[:3] - known.predicted_change(whole.t_end)
         squares.append(change @ change)
     more = np.diag(shaking.covariance - foreseen.covariance)[3:]
-    np.testing.assert_allclose(more, (squares[0] - squares[1]) / 3, rtol=1e-6)
+    np.testing.assert_allclose(more, (squares[0] - squares[1]) / 6, rtol=1e-6)
     assert np.sqrt(more.min()) > np.radians(0.5)
