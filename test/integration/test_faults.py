@@ -276,7 +276,10 @@ def test_node_that_stood_still_goes_on_with_the_newest_events(processes: Process
         assert count("messages_skipped") > 20
         assert count("seq_gaps", "time_jumps") == 0
         peer.spin_until(lambda: peer.twists[-1].header.stamp.sec == 2, "windows behind the gap")
-        assert {t.twist.angular.x for t in peer.twists} == {10.0}  # none reaches over it
+        # None reaches over it: it would have the events of one message, 5, or 3 if that is decoded
+        # in part, as on a machine that is busy with other things.
+        in_part = {6.0, 8.0} if count("messages_in_part") else set()
+        assert {t.twist.angular.x for t in peer.twists} - in_part == {10.0}
         assert processes.output(node).count("messages are left out, because events come") == 1
         said = {s.message for d in peer.diagnostics for s in d.status}
         assert any("messages left out: events come faster than the node" in m for m in said)
