@@ -107,24 +107,27 @@ class PresentMotion:
         fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
         surprise = change[:3] - scene.predicted_change(middle)
         of_w = _error_of_w(scene, covariance[:3, :3], surprise)
-        if fitted:  # the slice shows the change since; what the window took for either motion stays
+        if fitted:  # the slice shows the change alone; what the window took for the motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
+        ahead = scene.predicted_change(window.t_end) - scene.predicted_change(middle)
         if by_gyro is not None and at_end is not None:
             change[:3] += at_end[0] - by_gyro[0]
             # of readings that end before now
             late = max(0.0, at_end[1] - by_gyro[1] - PRESENT.live_gap)
             covariance[:3, :3] += late * np.eye(3)
-        elif fitted or by_gyro is not None:
+        elif by_gyro is not None:  # its readings end before now
             drift = self._drift
             covariance[:3, :3] += PRESENT.of_surprise * _squared(surprise)
-            change[:3] += scene.predicted_change(window.t_end) - scene.predicted_change(middle)
+            change[:3] += ahead
+        elif fitted:
+            drift[:3] = 0.0
+            covariance[:3], covariance[:, :3] = 0.0, 0.0
+            covariance[:3, :3] = of_w
+            change[:3] += ahead
         else:
             change[:3] = scene.predicted_change(window.t_end)
         covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
-        if fitted and by_gyro is None:
-            covariance[:3] = covariance[:, :3] = 0.0
-            covariance[:3, :3] = of_w
         found = _read(window.t_end, scene, change, covariance)
         if found is None:
             return None
