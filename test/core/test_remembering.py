@@ -7,9 +7,11 @@ import pytest
 
 from emoflow_ros.config import load_config
 from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.trajectory import AdjustedMotion
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.products.motion_prior import HeldMotion
 from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window, WindowSlicer
@@ -84,8 +86,8 @@ def test_every_window_has_an_estimate_with_a_covariance_that_holds(calm: Run):
 
 def test_motion_is_continuous_over_the_window(calm: Run):
     motion = calm.estimates[-1].motion
-    assert motion is not None
-    for node in motion.times[1:-1].tolist():  # type: ignore[attr-defined]
+    assert isinstance(motion, HeldMotion) and isinstance(motion.motion, AdjustedMotion)
+    for node in motion.motion.times[1:-1].tolist():
         for read in (motion.angular, motion.linear):
             assert read(node - 1000) == pytest.approx(read(node + 1000), abs=1e-3)
 

@@ -2,10 +2,10 @@
 
 Whatever estimator runs below, one place decides:
 
-- a measured motion is passed on, however wide it is;
+- a measured motion is told, however wide it is, held against how fast the events allow the image to
+  move;
 - `still`: the events of a scene that was seen move by less than 3 px/s (`gauge`): w and v are zero;
-- `carried`: the last motion goes on as a random walk for half a second, held against how fast the
-  events allow the image to move;
+- `carried`: the last motion goes on as a random walk for half a second, held alike;
 - `bounded`: later, w is zero within what the events allow, as long as they tell;
 - `lost`: nothing is known.
 
@@ -24,7 +24,7 @@ from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, SplineMotion
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.gauge import Gauge, covered, structured, works
-from emoflow_ros.core.products.motion_prior import Known, carried
+from emoflow_ros.core.products.motion_prior import HeldMotion, Known, carried
 from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import (
     REMEMBERED,
@@ -112,14 +112,25 @@ class ContinuousEstimator:
             state, found = replace(state, gauge=None, dark=True), _disbelieved(found)
         if found.status is not Status.OK:
             return self._unmeasured(*self._bounded(state, window, passed), window, found)
+        bounded, speed = self._bounded(state, window, passed)
+        found = self._held(bounded, speed, found)
         if found.quality.stop_reason == REMEMBERED:
-            state, speed = self._bounded(state, window, passed)
-            if _rest_covariance(state, speed) is not None:
-                return self._unmeasured(state, speed, window, found)
-            return self._unseen(state, speed, found)
+            if _rest_covariance(bounded, speed) is not None:
+                return self._unmeasured(bounded, speed, window, found)
+            return self._unseen(bounded, speed, found)
         if found.by_events is not Status.OK:
-            return self._unseen(*self._bounded(state, window, passed), found)
+            return self._unseen(bounded, speed, found)
         return self._measured(state, window, found)
+
+    def _held(self, state: State, speed: float | None, found: Estimate) -> Estimate:
+        """Hold what was measured of w against how fast the image moves at most; a gyro's stays."""
+        if speed is None or found.motion is None or found.gyro.state is GyroState.USED:
+            return found
+        motion = Known(found.t, found.linear, found.angular, found.covariance)
+        of_rest = STREAM.within * self._gauge(state).rotation_covariance(speed)
+        held = motion.held_against(of_rest)
+        told = HeldMotion(found.motion, motion.share_against(of_rest))
+        return replace(found, angular=held.angular, covariance=held.covariance, motion=told)
 
     def _measured(self, state: State, window: Window, found: Estimate) -> tuple[State, Estimate]:
         gauge = state.gauge
@@ -151,8 +162,8 @@ class ContinuousEstimator:
             state, status = replace(state, measured=t), Status.STILL
         elif speed is not None and (found.status is Status.NO_MOTION or not state.carries(t)):
             # What is carried on into a window that shows no motion is off by more than w = 0.
-            unseen = STREAM.unseen if found.status is Status.NO_MOTION else 1.0
-            motion = _within(t, unseen * self._gauge(state).rotation_covariance(speed))
+            share = STREAM.within if found.status is Status.NO_MOTION else 1.0
+            motion = _within(t, share * self._gauge(state).rotation_covariance(speed))
             status = Status.BOUNDED
         elif state.motion is not None and state.carries(t):
             motion, status = carried(state.motion, t, *self._drift), Status.CARRIED

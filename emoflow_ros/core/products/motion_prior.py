@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.settings import STREAM
+from emoflow_ros.core.types.estimate import Motion
 from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -43,13 +44,39 @@ class Known:
 
     def held_against(self, covariance: Array) -> "Known":
         """Return it together with the evidence that w is zero, with a covariance (3, 3)."""
-        own = self.covariance[3:, 3:]
-        share = covariance @ np.linalg.inv(own + covariance)
-        both = self.covariance.copy()
-        both[:3, 3:] = both[3:, :3] = 0.0
-        of_w = share @ own
-        both[3:, 3:] = 0.5 * (of_w + of_w.T)
-        return replace(self, angular=share @ self.angular, covariance=both)
+        both = self.covariance - self._gain(covariance) @ self.covariance[3:]
+        share = self.share_against(covariance)
+        return replace(self, angular=share @ self.angular, covariance=0.5 * (both + both.T))
+
+    def share_against(self, covariance: Array) -> Array:
+        """Return what that evidence leaves of w, (3, 3)."""
+        return np.eye(3) - self._gain(covariance)[3:]
+
+    def _gain(self, covariance: Array) -> Array:
+        """Gain (6, 3) of that evidence (Kalman, 1960); that on the direction is not applied."""
+        gain: Array = self.covariance[:, 3:] @ np.linalg.inv(self.covariance[3:, 3:] + covariance)
+        return gain
+
+
+@dataclass(frozen=True)
+class HeldMotion:
+    """A window's motion of whose angular velocity a share is left (a Motion).
+
+    Attributes:
+        motion: as it was measured.
+        share: (3, 3).
+    """
+
+    motion: Motion
+    share: Array
+
+    def angular(self, t: int) -> Array:
+        """Angular velocity at time t (ns), (3,) rad/s."""
+        return self.share @ self.motion.angular(t)
+
+    def linear(self, t: int) -> Array:
+        """Direction of the linear velocity at time t (ns), (3,)."""
+        return self.motion.linear(t)
 
 
 def carried(motion: Known, t: int, angular: float, direction: float) -> Known:

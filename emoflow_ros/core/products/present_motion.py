@@ -105,8 +105,9 @@ class PresentMotion:
         covariance[:3, :3] += variance * np.eye(3)
         free = 6 if scene.translates else 3
         fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
-        surprise = change[:3] - scene.predicted_change(middle)
-        of_w = _error_of_w(scene, covariance[:3, :3], surprise)
+        rest = (window.t_end - middle) / NS_PER_S
+        unforeseen = _goes_on(change[:3] - scene.predicted_change(middle), since, rest)
+        of_w = PRESENT.of_window * scene.covariance[:3, :3] + PRESENT.of_fit * covariance[:3, :3]
         if fitted:  # the slice shows the change alone; what the window took for the motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)
@@ -118,16 +119,16 @@ class PresentMotion:
             covariance[:3, :3] += late * np.eye(3)
         elif by_gyro is not None:  # its readings end before now
             drift = self._drift
-            covariance[:3, :3] += PRESENT.of_surprise * _squared(surprise)
+            covariance[:3, :3] += unforeseen
             change[:3] += ahead
         elif fitted:
             drift[:3] = 0.0
             covariance[:3], covariance[:, :3] = 0.0, 0.0
-            covariance[:3, :3] = of_w
+            covariance[:3, :3] = of_w + unforeseen
             change[:3] += ahead
         else:
             change[:3] = scene.predicted_change(window.t_end)
-        covariance += np.diag(drift * (window.t_end - middle) / NS_PER_S)
+        covariance += np.diag(drift * rest)
         found = _read(window.t_end, scene, change, covariance)
         if found is None:
             return None
@@ -185,22 +186,16 @@ class PresentMotion:
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
 
-def _error_of_w(scene: SeenScene, of_fit: Array, surprise: Array) -> Array:
-    """Covariance (3, 3) of w that a slice has told, as it was found to be (docs/experiments.md).
+def _goes_on(surprise: Array, since: float, rest: float) -> Array:
+    """Covariance (3, 3) of a random walk that goes on: a camera that shakes does, a calm one stays.
 
     Args:
-        scene: with the window's covariance.
-        of_fit: (3, 3) of the change of w, as the slice and what is known before tell it.
-        surprise: (3,) by how much that change differs from what was expected: a camera that shakes
-            goes on shaking, and a calm one stays calm.
+        surprise: (3,) by how much w has changed otherwise than expected.
+        since: time in which it has, s.
+        rest: time for which nothing is known, s.
     """
-    by_window = PRESENT.of_window * scene.covariance[:3, :3]
-    return by_window + PRESENT.of_fit * of_fit + PRESENT.of_surprise * _squared(surprise)
-
-
-def _squared(surprise: Array) -> Array:
-    """Covariance (3, 3) of an error as large as a surprise (3,), in any direction."""
-    return float(surprise @ surprise) / 3 * np.eye(3)
+    rate = float(surprise @ surprise) / 3 / max(since, PRESENT.least_since_s)
+    return rate * rest * np.eye(3)
 
 
 def _is_frozen(window: Window) -> bool:

@@ -31,8 +31,8 @@ class StreamSettings:
             more than 94 deg/s.
         carried_ns: for so long the last motion goes on, ns.
         gap_ns: between windows; after a longer one the stream begins anew, ns.
-        unseen: variance of w, where events show no motion, over that by how fast the image moves at
-            most.
+        within: variance of w over that by how fast the image moves at most, where a motion is
+            measured, and where the events show none.
         lost_px: way after which a scene may be another one, px: a quarter of its width.
         part_ns: the fullest part of a window, ns. The light has changed if in it
         covered: more than this share of the image has events,
@@ -62,7 +62,7 @@ class StreamSettings:
     any_w: float = radians(60.0)
     carried_ns: int = 500_000_000
     gap_ns: int = 1_000_000_000
-    unseen: float = 0.3
+    within: float = 0.3
     lost_px: float = 90.0
     part_ns: int = 20_000_000
     covered: float = 0.7
@@ -91,8 +91,9 @@ class PresentSettings:
             may have changed much.
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
-        of_window, of_fit, of_surprise: the covariance of w now is that of the window's w, that of
-            its change by the slice, and the square of the surprise, times these.
+        of_window, of_fit: the covariance of w now is that of the window's w and that of its change
+            by the slice, times these, and that of a random walk until now,
+        least_since_s: as fast as the change was not expected, in so much time at least, s.
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
         too_fast: w over what the events allow that cannot be, in standard deviations: their speed
             is known within a factor of two.
@@ -108,9 +109,9 @@ class PresentSettings:
     fewest_events: int = 300
     steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
-    of_window: float = 2.8
+    of_window: float = 3.2
     of_fit: float = 0.05
-    of_surprise: float = 0.5
+    least_since_s: float = 0.02
     newest_ns: int = 20_000_000
     too_fast: float = 3.0
     mean_ns: int = 5_000_000

@@ -9,8 +9,9 @@ from emoflow_ros.core.gyro.measurement import GyroMeasurement, fit_shape
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.reading import with_gyro as gyro_tells
 from emoflow_ros.core.products.present_motion import PresentMotion
+from emoflow_ros.core.products.settings import PRESENT
 from emoflow_ros.core.types.estimate import Estimate, Status
-from emoflow_ros.core.types.events import NS_PER_MS, Window
+from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.types.gyro import GyroReadings, GyroState, GyroStatus
 
 
@@ -216,5 +217,7 @@ def test_a_camera_that_shakes_goes_on_shaking_after_the_last_reading() -> None:
         change = found.twist.angular - known.motion[:3] - known.predicted_change(whole.t_end)
         squares.append(change @ change)
     more = np.diag(shaking.covariance - foreseen.covariance)[3:]
-    np.testing.assert_allclose(more, (squares[0] - squares[1]) / 6, rtol=1e-6)
+    walked, rest = middle - scene.t, whole.t_end - middle
+    assert walked > PRESENT.least_since_s * NS_PER_S
+    np.testing.assert_allclose(more, (squares[0] - squares[1]) / 3 * rest / walked, rtol=1e-6)
     assert np.sqrt(more.min()) > np.radians(0.5)
