@@ -7,6 +7,7 @@ nodes, and the way over these in both says how one unit is to be read in the oth
 import numpy as np
 
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, interpolated
+from emoflow_ros.core.products.motion_prior import HeldMotion
 from emoflow_ros.core.types.estimate import Estimate
 
 
@@ -24,6 +25,8 @@ class RelativeSpeed:
         Where the memory began anew in between, the camera is taken to go on as fast as before.
         """
         motion = estimate.motion
+        if isinstance(motion, HeldMotion):
+            motion = motion.motion
         if not isinstance(motion, AdjustedMotion) or not motion.translates:
             self._last = None
             return float("nan")

@@ -16,6 +16,7 @@ from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window, WindowSlicer
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
+from emoflow_ros.evaluation.relative_speed import RelativeSpeed
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
@@ -90,6 +91,12 @@ def test_motion_is_continuous_over_the_window(calm: Run):
     for node in motion.motion.times[1:-1].tolist():
         for read in (motion.angular, motion.linear):
             assert read(node - 1000) == pytest.approx(read(node + 1000), abs=1e-3)
+
+
+def test_the_relative_speed_of_every_settled_window_is_known(calm: Run):
+    follow = RelativeSpeed().follow
+    speeds = np.array([follow(estimate) for estimate in calm.estimates])[SETTLED:]
+    assert np.isfinite(speeds).all() and speeds.max() < 3 * speeds.min()
 
 
 def test_a_window_that_comes_again_changes_nothing(calm: Run):

@@ -112,22 +112,30 @@ class ContinuousEstimator:
             state, found = replace(state, gauge=None, dark=True), _disbelieved(found)
         if found.status is not Status.OK:
             return self._unmeasured(*self._bounded(state, window, passed), window, found)
-        bounded, speed = self._bounded(state, window, passed)
-        found = self._held(bounded, speed, found)
+        moved, speed = self._bounded(state, window, passed)
+        if speed is not None:
+            found = self._held(moved, speed, window, found)
         if found.quality.stop_reason == REMEMBERED:
-            if _rest_covariance(bounded, speed) is not None:
-                return self._unmeasured(bounded, speed, window, found)
-            return self._unseen(bounded, speed, found)
+            if _rest_covariance(moved, speed) is not None:
+                return self._unmeasured(moved, speed, window, found)
+            return self._unseen(moved, speed, found)
         if found.by_events is not Status.OK:
-            return self._unseen(bounded, speed, found)
-        return self._measured(state, window, found)
+            return self._unseen(moved, speed, found)
+        return self._measured(state, window, found)  # the scene is gauged again
 
-    def _held(self, state: State, speed: float | None, found: Estimate) -> Estimate:
-        """Hold what was measured of w against how fast the image moves at most; a gyro's stays."""
-        if speed is None or found.motion is None or found.gyro.state is GyroState.USED:
+    def _held(self, state: State, speed: float, window: Window, found: Estimate) -> Estimate:
+        """Hold what was measured of w against how fast the image moves at most; a gyro's stays.
+
+        w is that of the middle: the camera may have stopped until the end, of which `speed` is.
+        """
+        if found.motion is None or found.gyro.state is GyroState.USED:
             return found
         motion = Known(found.t, found.linear, found.angular, found.covariance)
-        of_rest = STREAM.within * self._gauge(state).rotation_covariance(speed)
+        gauge = self._gauge(state)
+        before = gauge.speed(window.until(found.t))
+        if before is None:
+            return found
+        of_rest = STREAM.within * gauge.rotation_covariance(max(speed, before))
         held = motion.held_against(of_rest)
         told = HeldMotion(found.motion, motion.share_against(of_rest))
         return replace(found, angular=held.angular, covariance=held.covariance, motion=told)

@@ -43,19 +43,21 @@ class Known:
         return replace(self, linear=np.zeros(3), covariance=without_translation(self.covariance))
 
     def held_against(self, covariance: Array) -> "Known":
-        """Return it together with the evidence that w is zero, with a covariance (3, 3)."""
-        both = self.covariance - self._gain(covariance) @ self.covariance[3:]
+        """Return it together with the evidence that w is zero, with a covariance (3, 3).
+
+        The direction stays, and so does its covariance.
+        """
         share = self.share_against(covariance)
-        return replace(self, angular=share @ self.angular, covariance=0.5 * (both + both.T))
+        both, of_w = self.covariance.copy(), share @ self.covariance[3:, 3:]
+        both[:3, 3:] = both[:3, 3:] @ share.T
+        both[3:, :3] = both[:3, 3:].T
+        both[3:, 3:] = 0.5 * (of_w + of_w.T)
+        return replace(self, angular=share @ self.angular, covariance=both)
 
     def share_against(self, covariance: Array) -> Array:
         """Return what that evidence leaves of w, (3, 3)."""
-        return np.eye(3) - self._gain(covariance)[3:]
-
-    def _gain(self, covariance: Array) -> Array:
-        """Gain (6, 3) of that evidence (Kalman, 1960); that on the direction is not applied."""
-        gain: Array = self.covariance[:, 3:] @ np.linalg.inv(self.covariance[3:, 3:] + covariance)
-        return gain
+        share: Array = covariance @ np.linalg.inv(self.covariance[3:, 3:] + covariance)
+        return share
 
 
 @dataclass(frozen=True)

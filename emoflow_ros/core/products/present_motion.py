@@ -22,7 +22,7 @@ from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.known_scene import KnownScene, inverse_depths, motion_covariance
-from emoflow_ros.core.products.motion_prior import Known
+from emoflow_ros.core.products.motion_prior import HeldMotion, Known
 from emoflow_ros.core.products.present_scene import SeenScene, measured
 from emoflow_ros.core.products.settings import PRESENT, STREAM
 from emoflow_ros.core.stream.cleaning import clean
@@ -162,7 +162,10 @@ class PresentMotion:
         t = max(estimate.t, estimate.t_end - PRESENT.mean_ns) if own else estimate.t
         w, v = motion.angular(t), motion.linear(t)
         change = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
-        known = None if estimate.flow is None else self._shown(estimate.flow, t, w, v)
+        fitted = motion.motion if isinstance(motion, HeldMotion) else motion  # that of the flow
+        known = None
+        if estimate.flow is not None:
+            known = self._shown(estimate.flow, t, fitted.angular(t), v)
         used = estimate.gyro.state is GyroState.USED
         return SeenScene(
             t=t,

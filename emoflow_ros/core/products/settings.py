@@ -92,8 +92,9 @@ class PresentSettings:
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
         of_window, of_fit: the covariance of w now is that of the window's w and that of its change
-            by the slice, times these, and that of a random walk until now,
-        least_since_s: as fast as the change was not expected, in so much time at least, s.
+            by the slice, times these, and that of a random walk from the slice's middle on.
+        least_since_s: time at least in which a change that was not expected came about, s: the walk
+            is as fast.
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
         too_fast: w over what the events allow that cannot be, in standard deviations: their speed
             is known within a factor of two.

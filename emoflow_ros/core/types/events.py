@@ -112,6 +112,11 @@ class Window:
         events = self.events[int(np.searchsorted(self.events.t, t)) :]
         return replace(self, t_start=t, events=events)
 
+    def until(self, t: int) -> "Window":
+        """Return the part before time t (ns)."""
+        events = self.events[: int(np.searchsorted(self.events.t, t))]
+        return replace(self, t_end=t, events=events)
+
     def with_gyro(self, readings: GyroReadings) -> "Window":
         """Return the window with those of a gyro's readings that cover it."""
         return replace(self, gyro=readings.covering(self.t_start, self.t_end))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scene_streams import (
+    CAMERA,
     FOCAL_PX,
     LENGTH,
     STRIDE_MS,
@@ -20,6 +21,7 @@ from scene_streams import (
 
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.products.continuous import ContinuousEstimator, State
+from emoflow_ros.core.products.gauge import Gauge
 from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import REMEMBERED, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events
@@ -195,7 +197,7 @@ def test_a_wide_motion_is_held_against_what_the_events_allow(stream):
     """Its w alone: a direction that is independent of it stays."""
     events = stops()
     state, at = after_motion(stream, events), window(events, 400)
-    true, turn = 100.0 / FOCAL_PX, np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    true = 100.0 / FOCAL_PX
     covariance = np.diag([0.01, 0.01, 0.0, 4.0, 4.0, 4.0])
     wide = replace(
         measured(at, 400.0), model=MotionModel.FULL, linear=np.array([0.0, 0.0, 1.0]),
@@ -204,6 +206,9 @@ def test_a_wide_motion_is_held_against_what_the_events_allow(stream):
     assert state.gauge is not None
     speed = state.gauge.speed(at)
     assert speed is not None and 80 < speed < 160
+    before = state.gauge.speed(at.until(wide.t))
+    assert before is not None
+    speed = max(speed, before)
     of_rest = STREAM.within * state.gauge.rotation_covariance(speed)
     _, told = stream.step(state, at, wide)
     expected = of_rest @ np.linalg.inv(of_rest + 4 * np.eye(3)) @ wide.angular
@@ -221,12 +226,36 @@ def test_a_wide_motion_is_held_against_what_the_events_allow(stream):
     by_gyro = replace(wide, gyro=GyroStatus(GyroState.USED))
     np.testing.assert_array_equal(stream.step(state, at, by_gyro)[1].angular, wide.angular)
     correlated = covariance.copy()
-    correlated[:3, 3:], correlated[3:, :3] = 0.15 * turn * [[1], [1], [0]], 0.0
-    correlated[3:, :3] = correlated[:3, 3:].T
+    correlated[0, 4] = correlated[4, 0] = 0.15
     _, both = stream.step(state, at, replace(wide, covariance=correlated))
-    joint = np.linalg.inv(correlated + 1e-9 * np.eye(6))  # the same in terms of information
-    joint[3:, 3:] += np.linalg.inv(of_rest)
-    np.testing.assert_allclose(both.covariance, np.linalg.inv(joint), atol=1e-7)
+    share = of_rest[1, 1] / (of_rest[1, 1] + 4)
+    np.testing.assert_allclose(both.covariance[0], [0.01, 0, 0, 0, 0.15 * share, 0], atol=1e-12)
+
+
+def test_a_first_motion_is_held_within_what_cameras_of_such_a_scene_do(stream):
+    at = window(scene(100.0, 1.0), 200)
+    supposed = Gauge.supposed(CAMERA)
+    speeds = [supposed.speed(part) for part in (at, at.until(measured(at, 0.0).t))]
+    of_rest = STREAM.within * supposed.rotation_covariance(max(s for s in speeds if s is not None))
+    wide = measured(at, 900.0, sigma=5.0)
+    _, told = stream.step(State(), at, wide)
+    np.testing.assert_allclose(
+        told.angular, of_rest @ np.linalg.inv(of_rest + 25 * np.eye(3)) @ wide.angular
+    )
+    assert np.linalg.norm(told.angular) < 0.6 * np.linalg.norm(wide.angular)
+
+
+def test_a_motion_is_not_held_against_a_stop_after_the_middle_of_its_window(stream):
+    events = stops()
+    state, at = after_motion(stream, events), window(events, 450)
+    found = measured(at, 100.0, sigma=np.radians(2))
+    assert found.t < MOVES_UNTIL_S * 1e9 < at.t_end
+    _, told = stream.step(state, at, found)
+    np.testing.assert_allclose(told.angular, found.angular, rtol=0.1)
+    still = window(events, 600)
+    assert state.gauge is not None
+    _, told = stream.step(replace(state, end=at.t_end), still, measured(still, 100.0, sigma=0.04))
+    assert np.linalg.norm(told.angular) < 0.1 * np.linalg.norm(found.angular)
 
 
 @pytest.mark.parametrize(("degrees", "given"), [(59.0, True), (61.0, False)])
@@ -307,5 +336,10 @@ def test_what_patches_alone_tell_counts_unless_the_camera_rests(stream, px_s, st
         assert not told.angular.any() and told.flow is None
         return
     np.testing.assert_allclose(told.angular, alone.angular, rtol=0.01)
+    wide = replace(alone, covariance=measured(at, 20.0, sigma=2.0).covariance)
+    _, held = stream.step(state, at, wide)
+    assert held.motion is not None
+    np.testing.assert_array_equal(held.motion.angular(held.t), held.angular)
+    assert np.linalg.norm(held.angular) < 0.1 * np.linalg.norm(told.angular)
     assert told.flow is alone.flow and told.bound is state.gauge is after.gauge
     assert after.measured == told.t

@@ -34,7 +34,7 @@ def test_it_follows_a_motion_that_changes_where_the_last_window_does_not() -> No
 
 
 def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
-    """By half of its square, a third along each axis, besides what window and fit leave open."""
+    """As by a random walk that is as fast, besides what window and fit leave open."""
     its, estimate = last("agile")
     present = its.present()
     present.know(estimate)
@@ -47,9 +47,9 @@ def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
     )
     told = angular(end) + slope * 0.06 * (1 - np.exp(-(t - end) / (0.06 * NS_PER_S)))
     change = found.twist.angular - told
-    square = change @ change / 6
-    of_fit = found.covariance[3:, 3:] - 2.8 * estimate.covariance[3:, 3:] - square * np.eye(3)
     seconds = (t - SLICE_NS // 2 - end) / NS_PER_S
+    square = change @ change / 3 * (SLICE_NS / 2 / NS_PER_S) / seconds
+    of_fit = found.covariance[3:, 3:] - 3.2 * estimate.covariance[3:, 3:] - square * np.eye(3)
     before = estimate.covariance[3:, 3:] + np.radians(60.0) ** 2 * seconds * np.eye(3)
     assert np.linalg.eigvalsh(of_fit).min() > 0
     assert np.linalg.eigvalsh(0.05 * before - of_fit).min() > 0  # the slice told something
