@@ -85,7 +85,9 @@ class Gauge:
         way = scatter(window.events, self.camera, surely=False) / self.per_px
         if way > STREAM.longest_px:
             latest = round(window.duration * NS_PER_S * STREAM.way_px / way)
-            later = self.speed(window.since(window.t_end - latest))
+            part = window.since(window.t_end - latest)
+            shorter = window.t_start < part.t_start < part.t_end  # not where all come at once
+            later = self.speed(part) if shorter else None
             if later is not None:
                 return later
         return max(way / window.duration, STREAM.least_px_s)

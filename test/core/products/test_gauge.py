@@ -8,6 +8,7 @@ from scene_streams import CAMERA, FOCAL_PX, measured, scene, window
 
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.products.gauge import Gauge, covered, scatter, structured
+from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.events import Events
 
 
@@ -36,6 +37,15 @@ def test_few_events_tell_nothing():
     few = window(scene(0.0, 0.3, 0.001), 300)
     assert 0 < len(few.events) < 20
     assert gauged().speed(few) is None
+
+
+@pytest.mark.parametrize("before_end", [0, 1])
+def test_events_that_all_come_at_the_end_count_over_the_whole_window(before_end):
+    whole = window(scene(200.0, 0.3), 300)
+    events = replace(whole.events, t=np.full(len(whole.events), whole.t_end - before_end))
+    speed = gauged().speed(replace(whole, events=events))
+    way = scatter(events, CAMERA, surely=False) / gauged().per_px
+    assert way > STREAM.longest_px and speed is not None and speed >= way / whole.duration
 
 
 def test_an_image_that_hardly_moves_gauges_nothing():
