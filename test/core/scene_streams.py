@@ -20,6 +20,7 @@ EDGES, EDGE_PX = 60, 80
 DOTS = EDGES * EDGE_PX
 FOCAL_PX = 226.0
 STRIDE_MS = 67.5
+MOVES_UNTIL_S = 0.4
 
 
 def scene(
@@ -127,3 +128,18 @@ def widest(told: list[Estimate]) -> None:
         np.testing.assert_array_equal([found.angular, found.linear], 0)
         np.testing.assert_allclose(np.degrees(np.sqrt(np.diag(found.covariance)[3:])), 60.0)
         assert found.covariance[0, 0] == -1 and found.bound is None
+
+
+def stops(noise_hz: float = 0.2) -> Events:
+    """A scene that moves at 100 px/s until it stops."""
+    return scene(lambda t: 100.0 if t < MOVES_UNTIL_S else 0.0, 2.0, noise_hz)
+
+
+def after_motion(stream: ContinuousEstimator, events: Events, until_ms: float = 400.0) -> State:
+    """State after windows that were measured."""
+    state = State()
+    for end in np.arange(LENGTH / NS_PER_MS, until_ms + 1e-3, STRIDE_MS):
+        at = window(events, end)
+        state, told = stream.step(state, at, measured(at, 100.0))
+        assert told.status is Status.OK
+    return state

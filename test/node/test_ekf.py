@@ -146,6 +146,12 @@ def test_a_filter_comes_nearer_to_the_truth_than_the_stream(
     assert mean_ratio([errors(stream, of_w) for stream in published]) < 1
 
 
+@pytest.mark.xfail(strict=False, reason="1.08 on a Xeon, as above; the bound is near")
+def test_a_filter_does_no_harm(published: list[Published], configuration: dict[str, Any]) -> None:
+    of_w = configuration["process_noise_covariance"][9]
+    assert mean_ratio([errors(stream, of_w) for stream in published]) < 1.03
+
+
 def test_a_filter_is_nearer_than_before_wide_twists_were_held(
     published: list[Published], configuration: dict[str, Any]
 ) -> None:

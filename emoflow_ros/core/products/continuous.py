@@ -110,9 +110,9 @@ class ContinuousEstimator:
         state = replace(state, end=window.t_end)
         if self._light_changes(state, window):
             state, found = replace(state, gauge=None, dark=True), _disbelieved(found)
-        if found.status is not Status.OK:
-            return self._unmeasured(*self._bounded(state, window, passed), window, found)
         moved, speed = self._bounded(state, window, passed)
+        if found.status is not Status.OK:
+            return self._unmeasured(moved, speed, window, found)
         if speed is not None:
             found = self._held(moved, speed, window, found)
         if found.quality.stop_reason == REMEMBERED:
