@@ -16,6 +16,7 @@ class Compilation(event.Listener):
 
     Args:
         tell: gets a line when the first one begins, and every few seconds then.
+        begin: is called when the first one begins.
         clock: monotonic time in s.
 
     Attributes:
@@ -23,10 +24,14 @@ class Compilation(event.Listener):
     """
 
     def __init__(
-        self, tell: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+        self,
+        tell: Callable[[str], None],
+        begin: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.count = 0
         self._tell = tell
+        self._begin = begin
         self._clock = clock
         self._began: float | None = None
         self._told = 0.0
@@ -39,6 +44,7 @@ class Compilation(event.Listener):
                 "the estimator is compiled, as at the first start on a machine: it takes about a "
                 f"minute, and is kept in {compiled_code.folder()}"
             )
+            self._begin()
 
     def on_end(self, event: event.Event) -> None:
         """Note that a function is compiled."""
@@ -58,9 +64,9 @@ class Compilation(event.Listener):
 
 
 @contextmanager
-def watched(tell: Callable[[str], None]) -> Iterator[Compilation]:
-    """Watch what is compiled within the context."""
-    with event.install_listener("numba:compile", Compilation(tell)) as compilation:
+def watched(tell: Callable[[str], None], begin: Callable[[], None]) -> Iterator[Compilation]:
+    """Watch what is compiled within the context; arguments as of `Compilation`."""
+    with event.install_listener("numba:compile", Compilation(tell, begin)) as compilation:
         yield compilation
         compilation.end()
 

@@ -134,8 +134,12 @@ class _Worker:
             `compiled`: whether anything was compiled, and not found on disk.
         """
         from emoflow_ros.node.compilation import watched
+        from emoflow_ros.node.compile_beside import compiled_beside
 
-        with watched(lambda line: self._tell({"progress": line})) as compilation:
+        with (
+            compiled_beside() as begin,
+            watched(lambda line: self._tell({"progress": line}), begin) as compilation,
+        ):
             warm_up(self._make_estimator)
         return {"compiled": bool(compilation.count)}
 

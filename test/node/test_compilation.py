@@ -15,13 +15,15 @@ from emoflow_ros.node.worker_process import WorkerProcess
 def test_progress_is_said_at_once_and_every_five_seconds() -> None:
     lines: list[str] = []
     clock = Clock()
-    compilation = Compilation(lines.append, clock)
+    begun: list[int] = []
+    compilation = Compilation(lines.append, lambda: begun.append(len(lines)), clock)
     event: Any = SimpleNamespace()
     for _ in range(6):
         compilation.on_start(event)
         assert len(lines) == 1 + int(clock.now - 100.0) // 6
         clock.now += 3.0
         compilation.on_end(event)
+    assert begun == [1]
     assert lines[0].startswith("the estimator is compiled, as at the first start on a machine")
     assert lines[1:] == [
         f"the estimator is compiled: {n} functions in {3 * n} s" for n in (2, 4, 6)

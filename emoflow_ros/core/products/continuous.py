@@ -135,7 +135,7 @@ class ContinuousEstimator:
         before = gauge.speed(window.until(found.t))
         if before is None:
             return found
-        of_rest = STREAM.within * gauge.rotation_covariance(max(speed, before))
+        of_rest = gauge.rotation_covariance(max(speed, before))
         held = motion.held_against(of_rest)
         told = HeldMotion(found.motion, motion.share_against(of_rest))
         return replace(found, angular=held.angular, covariance=held.covariance, motion=told)
@@ -170,7 +170,7 @@ class ContinuousEstimator:
             state, status = replace(state, measured=t), Status.STILL
         elif speed is not None and (found.status is Status.NO_MOTION or not state.carries(t)):
             # What is carried on into a window that shows no motion is off by more than w = 0.
-            share = STREAM.within if found.status is Status.NO_MOTION else 1.0
+            share = STREAM.unseen if found.status is Status.NO_MOTION else 1.0
             motion = _within(t, share * self._gauge(state).rotation_covariance(speed))
             status = Status.BOUNDED
         elif state.motion is not None and state.carries(t):

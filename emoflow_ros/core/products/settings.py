@@ -31,8 +31,8 @@ class StreamSettings:
             more than 94 deg/s.
         carried_ns: for so long the last motion goes on, ns.
         gap_ns: between windows; after a longer one the stream begins anew, ns.
-        within: variance of w over that by how fast the image moves at most, where a motion is
-            measured, and where the events show none.
+        unseen: variance of w over that by how fast the image moves at most, where the events show
+            no motion.
         lost_px: way after which a scene may be another one, px: a quarter of its width.
         part_ns: the fullest part of a window, ns. The light has changed if in it
         covered: more than this share of the image has events,
@@ -62,7 +62,7 @@ class StreamSettings:
     any_w: float = radians(60.0)
     carried_ns: int = 500_000_000
     gap_ns: int = 1_000_000_000
-    within: float = 0.3
+    unseen: float = 0.3
     lost_px: float = 90.0
     part_ns: int = 20_000_000
     covered: float = 0.7

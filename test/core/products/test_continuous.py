@@ -155,7 +155,7 @@ def test_the_bound_is_narrower_where_nothing_is_seen_to_move(stream):
     )
     assert blind.status is seen.status is Status.BOUNDED
     np.testing.assert_array_equal(seen.angular, 0)
-    np.testing.assert_allclose(seen.covariance[3:, 3:], STREAM.within * blind.covariance[3:, 3:])
+    np.testing.assert_allclose(seen.covariance[3:, 3:], STREAM.unseen * blind.covariance[3:, 3:])
 
 
 def test_a_scene_that_may_have_left_the_image_bounds_the_motion_loosely(stream):

@@ -18,7 +18,6 @@ from scene_streams import (
 
 from emoflow_ros.core.products.continuous import ContinuousEstimator, State
 from emoflow_ros.core.products.gauge import Gauge
-from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import MotionModel
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 
@@ -44,7 +43,7 @@ def test_a_wide_motion_is_held_against_what_the_events_allow(stream):
     before = state.gauge.speed(at.until(wide.t))
     assert before is not None
     speed = max(speed, before)
-    of_rest = STREAM.within * state.gauge.rotation_covariance(speed)
+    of_rest = state.gauge.rotation_covariance(speed)
     _, told = stream.step(state, at, wide)
     expected = of_rest @ np.linalg.inv(of_rest + 4 * np.eye(3)) @ wide.angular
     np.testing.assert_allclose(told.angular, expected)
@@ -77,7 +76,7 @@ def test_a_first_motion_is_held_within_what_cameras_of_such_a_scene_do(stream):
     at = window(scene(100.0, 1.0), 200)
     supposed = Gauge.supposed(CAMERA)
     speeds = [supposed.speed(part) for part in (at, at.until(measured(at, 0.0).t))]
-    of_rest = STREAM.within * supposed.rotation_covariance(max(s for s in speeds if s is not None))
+    of_rest = supposed.rotation_covariance(max(s for s in speeds if s is not None))
     wide = measured(at, 900.0, sigma=5.0)
     _, told = stream.step(State(), at, wide)
     np.testing.assert_allclose(
