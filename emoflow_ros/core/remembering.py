@@ -124,7 +124,7 @@ class RememberingEstimator:
         if motion is None:
             return memory, found
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
-        return memory, self._read(found, state, motion, memory.experience)
+        return memory, self._read(window, found, state, motion, memory.experience)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
@@ -194,25 +194,34 @@ class RememberingEstimator:
         return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
 
     def _read(
-        self, found: Estimate, state: State, motion: MotionAt, experience: Experience
+        self,
+        window: Window,
+        found: Estimate,
+        state: State,
+        motion: MotionAt,
+        experience: Experience,
     ) -> Estimate:
         """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
         back, adjusted = self._odometry.back, state.adjusted
         assert adjusted is not None
-        cost, seconds = adjusted.mean_cost(back), (found.t_end - found.t_start) / NS_PER_S
+        cost, seconds = adjusted.mean_cost(back), window.duration
+        if found.quality.warm:  # else its part of the window is not that short for fast events
+            seconds = (found.t_end - found.t_start) / NS_PER_S
+        kept = state.patches.kept(self._front.patience)
+        lost = back.errors.lost if kept < back.errors.lost_share else 1.0
         by_gyro = found.gyro.state is GyroState.USED
         covariance = np.zeros((6, 6))
         if by_gyro:
             angular, covariance[3:, 3:] = found.angular, found.covariance[3:, 3:]
         else:
             seen = state.patches.times_seen
-            factor = angular_factor(experience, cost, seen, seconds, back.errors)
+            factor = lost * angular_factor(experience, cost, seen, seconds, back.errors)
             factor *= back.errors.alone if found.flow is None else 1.0
             angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear = np.zeros(3)
         if adjusted.translates and speed > 0:
-            variance = direction_variance(experience, cost, back.errors)
+            variance = lost * direction_variance(experience, cost, back.errors)
             if variance < np.radians(back.widest_direction_deg) ** 2:
                 linear, model = motion.linear / speed, MotionModel.FULL
                 covariance[:3, :3] = variance * (np.eye(3) - np.outer(linear, linear))

@@ -19,6 +19,8 @@ class ErrorLaw:
             lattice's, of its revisions, of the cost of an observation, of the window's length, and
             of one more than the number of slices that show a patch.
         alone: factor besides where the lattice sees no motion.
+        lost, lost_share: factor besides, for the direction, too, where the newest slice shows less
+            than this share of the patches followed.
         direction: factor on the variance of the direction, rad^2.
         of_astray: exponent per rad between it and the lattice's.
         of_turned, of_cost_direction: powers of the angle by which it is revised, and of the cost.
@@ -36,6 +38,8 @@ class ErrorLaw:
     of_seconds: float = 1.0
     of_seen: float = -2.0
     alone: float = 2.0
+    lost: float = 8.0
+    lost_share: float = 0.1
     direction: float = 0.12
     of_astray: float = 3.0
     of_turned: float = 1.5
