@@ -205,7 +205,7 @@ class RememberingEstimator:
         back, adjusted = self._odometry.back, state.adjusted
         assert adjusted is not None
         cost, seconds = adjusted.mean_cost(back), window.duration
-        if found.quality.warm:  # else its part of the window is not that short for fast events
+        if found.quality.warm:  # else what is short was tried, not measured
             seconds = (found.t_end - found.t_start) / NS_PER_S
         kept = state.patches.kept(self._front.patience)
         lost = back.errors.lost if kept < back.errors.lost_share else 1.0

@@ -14,6 +14,8 @@ from contextlib import ExitStack, contextmanager, suppress
 
 from emoflow_ros.node.warm_up import warm_up_memory
 
+_END_S = 5.0
+
 
 @contextmanager
 def compiled_beside() -> Iterator[Callable[[], None]]:
@@ -36,7 +38,7 @@ def compiled_beside() -> Iterator[Callable[[], None]]:
 def _started() -> subprocess.Popen[bytes]:
     path = os.pathsep.join(filter(None, sys.path))  # as multiprocessing hands it on
     return subprocess.Popen(
-        [sys.executable, "-m", __name__],
+        [sys.executable, "-P", "-m", __name__],  # not from the current folder
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -47,12 +49,14 @@ def _started() -> subprocess.Popen[bytes]:
 def _end(process: subprocess.Popen[bytes]) -> None:
     assert process.stdin is not None
     process.stdin.close()
-    process.wait()
+    process.kill()  # what it is at is compiled here by now
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(_END_S)
 
 
 def _end_with_input() -> None:
     os.read(sys.stdin.fileno(), 1)  # not by Python's buffer, whose lock the interpreter's end needs
-    os._exit(0)  # what it is at is lost; numba renames a file when it is whole
+    os._exit(0)  # numba renames a file when it is whole
 
 
 if __name__ == "__main__":

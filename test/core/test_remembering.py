@@ -202,7 +202,7 @@ def test_a_motion_is_less_sure_where_few_patches_are_found_again(calm: Run):
     assert unsure.angular.tolist() == sure.angular.tolist()
 
 
-def test_a_part_of_a_window_is_short_for_fast_events_only_where_a_motion_chose_it(calm: Run):
+def test_only_of_a_warm_fit_the_length_counts(calm: Run):
     warm, cold = last_of(calm), last_of(calm, warm=False)
     part = (warm.t_end - warm.t_start) / 1e9
     assert part < 0.9 * calm.windows[5].duration

@@ -42,8 +42,8 @@ def test_it_compiles_all_that_the_worker_needs_of_the_memory() -> None:
     assert same == "True"
 
 
-def files(folder: Path) -> list[Path]:
-    return list(folder.rglob("*.nbc"))
+def files(folder: Path, of: str) -> list[Path]:
+    return list(folder.rglob(f"{of}*.nbc"))
 
 
 def test_it_keeps_what_it_compiles_and_ends_with_its_input(tmp_path: Path) -> None:
@@ -54,13 +54,14 @@ def test_it_keeps_what_it_compiles_and_ends_with_its_input(tmp_path: Path) -> No
         env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
     )
     try:
-        while not files(tmp_path):
+        while not files(tmp_path, "patch_kernels."):
             assert process.poll() is None
             time.sleep(0.05)
         process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode == 0
+    assert not files(tmp_path, "descent.descend")  # one of the last
 
 
 def test_it_ends_by_itself_when_all_is_compiled() -> None:
@@ -76,7 +77,7 @@ class Started:
 
     def __init__(self) -> None:
         self.commands: list[list[str]] = []
-        self.ended = 0
+        self.ended, self.closed = 0, False
 
     def __call__(self, command: list[str], **options: Any) -> "Started":
         self.commands.append(command)
@@ -87,10 +88,13 @@ class Started:
         return self
 
     def close(self) -> None:
+        self.closed = True
+
+    def kill(self) -> None:
         self.ended += 1
 
-    def wait(self) -> None:
-        assert self.ended
+    def wait(self, seconds: float) -> None:
+        assert self.closed and self.ended
 
 
 @pytest.mark.parametrize(("cores", "started"), [({0}, 0), ({0, 1}, 1)])
@@ -106,6 +110,7 @@ def test_it_is_started_where_a_core_is_free_and_ended(
     with compile_beside.compiled_beside() as begin:
         begin()
         assert len(popen.commands) == started and not popen.ended
+        assert all("-P" in command for command in popen.commands)
     assert popen.ended == started
 
 

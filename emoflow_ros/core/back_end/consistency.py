@@ -87,7 +87,7 @@ def angular_factor(
         experience: with this motion.
         cost: of an observation on average, over what it is where the covariance is right.
         times_seen: number of slices on average that show a patch.
-        seconds: that the window lasts, s; all of it, where no motion before told how much to take.
+        seconds: that the window lasts, s; all of it where the lattice's fit is cold or none.
         law: what is made of it.
     """
     assert experience.apart is not None

@@ -5,9 +5,11 @@ other files is compiled into it, so that it would keep their old versions. Here 
 in a folder whose name is a hash of all sources that may be in it, below the one that numba
 chooses; folders of other versions are removed. Numba writes its index before the code. In a folder
 that two versions share, a disk that fills up between the two would leave an index of the new one
-with code of the old one.
+with code of the old one. Nor does numba expect two processes to keep versions of one function for
+other arguments at once: either would number its file alike. Therefore one waits for the other.
 """
 
+import fcntl
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,6 +22,7 @@ import numba
 from numba.core import caching
 
 _PREFIX = "emoflow_ros-"
+_LOCK = "lock"
 _CORE = Path(__file__).parents[1]
 
 
@@ -95,6 +98,19 @@ def _remove_others(folder: Path) -> None:
             elif path.suffix in (".nbi", ".nbc"):  # of versions before there were folders
                 path.unlink()
 
+
+class _CacheFile(caching.IndexDataCacheFile):
+    """Keeps one version of a function after the other, whichever process it is from."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save a new cache entry, as numba does, while no other process does."""
+        with (Path(self._cache_path) / _LOCK).open("a") as lock:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            super().save(key, data)
+
+
+caching.IndexDataCacheFile = _CacheFile  # type: ignore[misc]
 
 # Numba asks one after another.
 _locators: list[Any] = caching.CacheImpl._locator_classes

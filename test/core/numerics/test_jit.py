@@ -262,3 +262,39 @@ def test_what_compiled_functions_can_use_is_in_the_hash() -> None:
             if name.startswith(("emoflow_ros", "msg_adapters")) and not name.startswith(hashed)
         }
     assert compiled > 20 and wrong == set()
+
+
+SAVES = """
+import sys
+from numba.core import caching
+import emoflow_ros.core.numerics.jit
+
+file = caching.IndexDataCacheFile(sys.argv[1], "function", "stamp")
+sys.stdin.readline()
+for key in range(int(sys.argv[2]), 200, 2):
+    file.save(key, f"version {key}")
+"""
+
+LOADS = """
+import sys
+from numba.core import caching
+
+file = caching.IndexDataCacheFile(sys.argv[1], "function", "stamp")
+print([file.load(key) for key in range(200)] == [f"version {key}" for key in range(200)])
+"""
+
+
+def test_two_processes_may_keep_versions_of_one_function_at_once(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SAVES, str(tmp_path)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    pipe = subprocess.PIPE
+    both = [
+        subprocess.Popen([*command, first], stdin=pipe, env=environment) for first in ("0", "1")
+    ]
+    for process in both:
+        assert process.stdin is not None
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+    assert [process.wait() for process in both] == [0, 0]
+    loads = [sys.executable, "-c", LOADS, str(tmp_path)]
+    assert subprocess.run(loads, capture_output=True, check=True).stdout == b"True\n"
