@@ -178,39 +178,6 @@ def test_a_window_s_wrong_motion_does_not_refute_places_that_fit(calm: Run):
     assert calm.error(told) < 3
 
 
-def last_of(run: Run, back: BackEndSettings | None = None, *, warm: bool = True) -> Estimate:
-    """Estimate the sixth window by its last part, whose flow is said to be warm or cold."""
-    camera = run.recording.camera
-    lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
-    memory = reader.nothing()
-    for window in run.windows[:6]:
-        found = lattice.estimate(window)
-        found = replace(found, t_start=(found.t + 2 * found.t_start) // 3)
-        found = replace(found, quality=replace(found.quality, warm=warm))
-        memory, estimate = reader.step(memory, window, found)
-    return estimate
-
-
-def test_a_motion_is_less_sure_where_few_patches_are_found_again(calm: Run):
-    law = BackEndSettings().errors
-    sure = last_of(calm)
-    losing = BackEndSettings(errors=replace(law, lost_share=1.1))
-    unsure = last_of(calm, losing)
-    assert (law.lost, law.lost_share) == (8.0, 0.1)
-    assert unsure.covariance == pytest.approx(8 * sure.covariance)
-    assert unsure.angular.tolist() == sure.angular.tolist()
-
-
-def test_only_of_a_warm_fit_the_length_counts(calm: Run):
-    warm, cold = last_of(calm), last_of(calm, warm=False)
-    part = (warm.t_end - warm.t_start) / 1e9
-    assert part < 0.9 * calm.windows[5].duration
-    longer = calm.windows[5].duration / part
-    assert cold.covariance[3:, 3:] == pytest.approx(longer * warm.covariance[3:, 3:])
-    assert cold.covariance[:3, :3] == pytest.approx(warm.covariance[:3, :3])
-
-
 def test_a_direction_is_told_only_where_it_is_sure_enough(calm: Run):
     """Its variance is the same all around it."""
     camera, told = calm.recording.camera, []
