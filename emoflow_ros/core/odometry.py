@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
+from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.scene import (
     Grid,
     deformations,
@@ -26,6 +27,7 @@ from emoflow_ros.core.back_end.trajectory import (
     MotionAt,
     carried_on,
     first_node,
+    interpolated,
     motion_at,
     superfluous_node,
     without_node,
@@ -70,6 +72,7 @@ class State:
         walks: how restless the camera is.
         saved: cost per patch that a translation saves over a rotation, where last compared.
         adjusted: of the last step; None while patches are too few.
+        hypotheses: ways that are possible at these nodes; None as well.
         adjustments: how many there were.
     """
 
@@ -80,11 +83,22 @@ class State:
     measured: tuple[Measured, ...] = ()
     saved: float | None = None
     adjusted: Adjusted | None = None
+    hypotheses: Hypotheses | None = None
     adjustments: int = 0
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
-        return None if self.adjusted is None else motion_at(self.t, self.adjusted, t)
+        if self.adjusted is None or self.hypotheses is None:
+            return None
+        angular, linear, _ = interpolated(self.t, self.hypotheses.mean, t)
+        spread, of_direction = self.hypotheses.spread(self.t, t)
+        return replace(
+            motion_at(self.t, self.adjusted, t),
+            angular=angular,
+            linear=linear,
+            spread=spread,
+            direction_spread=of_direction,
+        )
 
 
 class Odometry:
@@ -181,7 +195,9 @@ class Odometry:
         place, shape = patches.place[followed], patches.shape.copy()
         by_way = deformations(self.camera, place, x, depths, self.back.most_growth)
         shape[followed] = by_way @ shape[followed]
-        return replace(state, x=x, patches=replace(patches, shape=shape))
+        hypotheses = state.hypotheses and state.hypotheses.carried_on(seconds)
+        patches = replace(patches, shape=shape)
+        return replace(state, x=x, patches=patches, hypotheses=hypotheses)
 
     def _draw(
         self, state: State, events: SliceEvents, hint: Hint, place: Array | None
@@ -203,42 +219,51 @@ class Odometry:
     def _window(self, state: State, t: int, hint: Hint) -> State:
         """Add a node's time, and forget nodes that are too many."""
         x, patches, times = state.x, state.patches, np.append(state.t, t)
+        hypotheses = state.hypotheses
         assert x is not None
         while (node := superfluous_node(times, self.back)) is not None:
             patches = patches.without(node, depths_now(patches, x, self.back.depths, second=True))
             x, times = without_node(x, node), np.delete(times, node)
+            hypotheses = hypotheses and hypotheses.without_node(node)
         measured = tuple(m for m in state.measured if m.t > times[0])
         if hint.measured is not None:
             measured = (*measured, hint.measured)
-        return replace(state, t=times, x=x, patches=patches, measured=measured)
+        return replace(
+            state, t=times, x=x, patches=patches, measured=measured, hypotheses=hypotheses
+        )
 
     def _adjusted(self, state: State) -> State:
         """Adjust motion and depths to the places of the patches; decide whether it only rotates."""
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2
         if len(state.t) < 3 or used.sum() < back.fewest_patches or x is None:
-            return replace(state, adjusted=None)
+            return replace(state, adjusted=None, hypotheses=None)
         some = patches.at(used)
         problem = observations(some, back)
         known = prior(state.t, state.measured, state.walks, back)
         depth = np.where(np.isfinite(some.inverse_depth), some.inverse_depth, 1.0)
         begin = x._replace(inverse_depth=depth)
-        others = starts(state.t, begin, state.measured, back, first=state.adjusted is None)
-        found = best(problem, begin, known, others, back)
-        if found is None:
+        guesses = starts(state.t, begin, state.measured, state.hypotheses, state.adjustments, back)
+        result = best(problem, begin, known, guesses, back)
+        if result is None:
             return self.start()
+        found, others = result
         saved = state.saved
         sure = saved is not None and saved > back.surely_translates
         skipped = sure and state.adjustments % back.check_every != 0
         rotated = None if skipped else rotating(problem, found, known, back)
         if rotated is not None and rotated.cost < found.cost:
             # Travel includes it: the search went astray.
-            found = best(problem, rotated.x, known, [], back) or found
+            again = best(problem, rotated.x, known, [], back)
+            if again is not None:
+                others.append((found.x, found.cost))
+                found = again[0]
         if rotated is not None:
             saved = (rotated.cost - found.cost) / len(some)
             if saved < back.rotation_cost:
                 found = rotated
-        found = _unit_depth(found)
+        hypotheses = Hypotheses.weighed(found, others, back)
+        found = found.of_unit_depth()
         try:
             walks = state.walks.learnt(found, known.seconds, back)
         except np.linalg.LinAlgError:
@@ -252,6 +277,7 @@ class Odometry:
             walks=walks,
             saved=saved,
             adjusted=found,
+            hypotheses=hypotheses,
             adjustments=state.adjustments + 1,
         )
 
@@ -267,20 +293,3 @@ def _carried(place: Array, flow: F32, seconds: float) -> Array:
     """Carry places (N, 2) px along a slice's flow for some seconds (the midpoint method)."""
     middle = place + 0.5 * seconds * flow_at(flow, place)
     return place + seconds * flow_at(flow, middle)
-
-
-_RESCALE = (0.5, 2.0)  # by how much at most
-
-
-def _unit_depth(adjusted: Adjusted) -> Adjusted:
-    """Scale the scene so that its median inverse depth is one."""
-    x = adjusted.x
-    scale = float(np.clip(np.median(x.inverse_depth), *_RESCALE))
-    x = x._replace(
-        position=scale * x.position,
-        velocity=scale * x.velocity,
-        inverse_depth=x.inverse_depth / scale,
-    )
-    by_kind = np.repeat([1.0, 1 / scale, 1.0, 1 / scale], 3)  # in the order of a node's unknowns
-    factor = np.tile(by_kind, len(x.position))[adjusted.free]
-    return replace(adjusted, x=x, matrix=factor[:, None] * adjusted.matrix * factor)

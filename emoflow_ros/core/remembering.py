@@ -202,8 +202,8 @@ class RememberingEstimator:
         experience: Experience,
     ) -> Estimate:
         """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
-        back, adjusted = self._odometry.back, state.adjusted
-        assert adjusted is not None
+        back, adjusted, hypotheses = self._odometry.back, state.adjusted, state.hypotheses
+        assert adjusted is not None and hypotheses is not None
         cost, seconds = adjusted.mean_cost(back), window.duration
         if found.quality.warm:  # else what is short was tried, not measured
             seconds = (found.t_end - found.t_start) / NS_PER_S
@@ -217,11 +217,12 @@ class RememberingEstimator:
             seen = state.patches.times_seen
             factor = lost * angular_factor(experience, cost, seen, seconds, back.errors)
             factor *= back.errors.alone if found.flow is None else 1.0
-            angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance
+            angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + motion.spread
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear = np.zeros(3)
         if adjusted.translates and speed > 0:
             variance = lost * direction_variance(experience, cost, back.errors)
+            variance += motion.direction_spread
             if variance < np.radians(back.widest_direction_deg) ** 2:
                 linear, model = motion.linear / speed, MotionModel.FULL
                 covariance[:3, :3] = variance * (np.eye(3) - np.outer(linear, linear))
@@ -229,7 +230,7 @@ class RememberingEstimator:
             covariance = without_translation(covariance)
         gyro = found.motion if by_gyro else None
         translates = model is MotionModel.FULL
-        told = AdjustedMotion(state.t, adjusted.x, translates, found.motion, gyro)
+        told = AdjustedMotion(state.t, hypotheses.mean, translates, found.motion, gyro)
         quality = found.quality
         if found.flow is None:
             quality = replace(quality, stop_reason=REMEMBERED)

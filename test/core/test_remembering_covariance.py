@@ -48,3 +48,12 @@ def test_only_of_a_warm_fit_the_length_counts(calm: Run):
     longer = calm.windows[5].duration / part
     assert cold.covariance[3:, 3:] == pytest.approx(longer * warm.covariance[3:, 3:])
     assert cold.covariance[:3, :3] == pytest.approx(warm.covariance[:3, :3])
+
+
+def test_a_motion_is_less_sure_where_other_ways_are_as_likely(calm: Run):
+    sure = last_of(calm, replace(BackEndSettings(), temperature=1e-9))
+    as_likely = last_of(calm, replace(BackEndSettings(), temperature=1e9))
+    of_w = [float(e.covariance[3:, 3:].trace()) for e in (sure, as_likely)]
+    assert of_w[1] > 1.5 * of_w[0]
+    assert sure.translation_observable
+    assert as_likely.covariance[0, 0] > 4 * sure.covariance[0, 0]

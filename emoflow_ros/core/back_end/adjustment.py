@@ -5,7 +5,7 @@ Triggs et al., Vision Algorithms, 2000), with a motion prior of white noise on t
 The pose of the newest node is held: it is the common frame's.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ from emoflow_ros.core.back_end.settings import BackEndSettings
 Array = NDArray[np.float64]
 
 _REGULAR = 1e-9  # added to the diagonal
+_RESCALE = (0.5, 2.0)  # by how much at most
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,26 @@ class Adjusted:
         """Robust cost of an observation on average, over what it is where all is right."""
         squares = self.squares / (1 + self.squares / settings.outlier**2)
         return 0.5 * float(squares.mean()) / settings.expected_cost
+
+    def of_unit_depth(self) -> "Adjusted":
+        """The same with the scene scaled so that its median inverse depth is one."""
+        x, scale = of_unit_depth(self.x)
+        by_kind = np.repeat(
+            [1.0, 1 / scale, 1.0, 1 / scale], 3
+        )  # in the order of a node's unknowns
+        factor = np.tile(by_kind, len(x.position))[self.free]
+        return replace(self, x=x, matrix=factor[:, None] * self.matrix * factor)
+
+
+def of_unit_depth(x: Unknowns) -> tuple[Unknowns, float]:
+    """Scale the scene so that its median inverse depth is one; return the scale, too."""
+    scale = float(np.clip(np.median(x.inverse_depth), *_RESCALE))
+    x = x._replace(
+        position=scale * x.position,
+        velocity=scale * x.velocity,
+        inverse_depth=x.inverse_depth / scale,
+    )
+    return x, scale
 
 
 def adjust(

@@ -1,6 +1,5 @@
 """Where the adjustment starts from, and whether the camera translates or only rotates."""
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
@@ -15,18 +14,22 @@ from emoflow_ros.core.back_end.adjustment_kernels import (
 )
 from emoflow_ros.core.back_end.descent import descend
 from emoflow_ros.core.back_end.evidence import Measured
+from emoflow_ros.core.back_end.hypotheses import Guess, Hypotheses
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import along
+from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
+
+_STRIDE = 7  # so that directions that follow each other are far apart
 
 
 def best(
     problem: Observations, start: Unknowns, prior: Prior, others: list[Unknowns],
     settings: BackEndSettings,
-) -> Adjusted | None:  # fmt: skip
+) -> tuple[Adjusted, list[Guess]] | None:  # fmt: skip
     """Adjust from a start and from others; take the least cost.
 
     The others are guesses, so that outliers are told from them step by step (graduated
@@ -40,23 +43,28 @@ def best(
         settings: of the back end.
 
     Returns:
-        None if all diverge.
+        The best, and where the others led to; None if all diverge.
     """
-    with ThreadPoolExecutor(1) as beside:  # where a core is free, guesses take no time
+    with ThreadPoolExecutor(2) as beside:
         guesses = [beside.submit(_guessed, problem, x, prior, settings) for x in others]
         found = _adjusted(problem, start, prior, settings)
+    led: list[Guess] = []
     for guess in filter(None, (guess.result() for guess in guesses)):
-        if found is not None and guess[1] > found.cost:
+        further = None
+        if found is None or guess[1] < found.cost:
+            further = _adjusted(problem, guess[0], prior, settings)
+        if further is None or (found is not None and further.cost >= found.cost):
+            led.append(guess)
             continue
-        further = _adjusted(problem, guess[0], prior, settings)
-        if further is not None and (found is None or further.cost < found.cost):
-            found = further
-    return found
+        if found is not None:
+            led.append((found.x, found.cost))
+        found = further
+    return None if found is None else (found, led)
 
 
 def _guessed(
     problem: Observations, x: Unknowns, prior: Prior, settings: BackEndSettings
-) -> tuple[Unknowns, float] | None:
+) -> Guess | None:
     """Adjust from a guess of the way alone, its depths being the likeliest ones.
 
     Returns:
@@ -80,36 +88,41 @@ def _adjusted(
 
 
 def starts(
-    t: Times, x: Unknowns, measured: tuple[Measured, ...], settings: BackEndSettings, *, first: bool
-) -> list[Unknowns]:
-    """List other starts: as measured; while the memory fills at one place and directions, too.
+    t: Times, x: Unknowns, measured: tuple[Measured, ...], before: Hypotheses | None, number: int,
+    settings: BackEndSettings,
+) -> list[Unknowns]:  # fmt: skip
+    """List other starts: as measured, the last rival or else the way reversed, and one direction.
 
-    Without the former a wrong memory would keep itself up: it predicts what it sees.
+    Without the first a wrong memory would keep itself up: it predicts what it sees. While the
+    memory fills, the camera may also stand, and now and then all directions are tried.
 
     Args:
         t: (K,) ns of the nodes.
         x: the start that goes on from the last adjustment.
         measured: velocities of windows.
+        before: what the last adjustment found possible, at these nodes; None if there is none.
+        number: of adjustments so far.
         settings: of the back end.
-        first: whether there is no last adjustment.
     """
-    depths = np.ones(len(x.inverse_depth))
+    depths, fills = np.ones(len(x.inverse_depth)), len(t) < settings.slices
     found: list[Unknowns] = []
     if measured:
         nearest = np.abs(np.array([m.t for m in measured]) - t[:, None]).argmin(axis=1)
         angular = np.array([measured[n].angular for n in nearest])
         linear = settings.start_speed * np.array([measured[n].direction for n in nearest])
         found.append(along(t, angular, linear, depths))
-        if len(t) < settings.slices:
+        if fills:
             found.append(along(t, angular, np.zeros_like(linear), depths))
-    if len(t) < settings.slices and (first or len(t) in settings.directions_at):
-        still = along(t, x.angular, np.zeros((len(t), 3)), depths)
-        for direction in _sphere(settings.directions):
-            velocity = np.tile(settings.start_speed * direction, (len(t), 1))
-            seconds = (t - t[-1])[:, None] * 1e-9
-            found.append(
-                still._replace(rotation=x.rotation, position=seconds * velocity, velocity=velocity)
-            )
+    directions = _sphere(settings.directions)
+    if before is not None:
+        rival = before.rival or x._replace(position=-x.position, velocity=-x.velocity)
+        found.append(rival._replace(inverse_depth=depths))
+        if not (fills and len(t) in settings.directions_at):
+            directions = directions[_STRIDE * number % settings.directions, None]
+    for direction in directions:
+        velocity = np.tile(settings.start_speed * direction, (len(t), 1))
+        position = (t - t[-1])[:, None] / NS_PER_S * velocity
+        found.append(x._replace(position=position, velocity=velocity, inverse_depth=depths))
     return found
 
 
@@ -125,9 +138,9 @@ def rotating(
     return None
 
 
-def _sphere(count: int) -> Iterator[Array]:
-    """Unit vectors spread evenly over the sphere (a Fibonacci lattice)."""
-    for k in range(count):
-        z = 1 - (2 * k + 1) / count
-        azimuth, radius = np.pi * (1 + np.sqrt(5)) * (k + 0.5), np.sqrt(1 - z * z)
-        yield np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
+def _sphere(count: int) -> Array:
+    """Unit vectors (count, 3) spread evenly over the sphere (a Fibonacci lattice)."""
+    k = np.arange(count)
+    z = 1 - (2 * k + 1) / count
+    azimuth, radius = np.pi * (1 + np.sqrt(5)) * (k + 0.5), np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)

@@ -40,10 +40,10 @@ class ErrorLaw:
     alone: float = 2.0
     lost: float = 8.0
     lost_share: float = 0.1
-    direction: float = 0.12
-    of_astray: float = 3.0
-    of_turned: float = 1.5
-    of_cost_direction: float = 1.5
+    direction: float = 0.75
+    of_astray: float = 2.4
+    of_turned: float = 2.0
+    of_cost_direction: float = 2.9
     share: float = 0.15
     usual_revision: float = 0.05
     usual_turn: float = 0.37
@@ -87,10 +87,13 @@ class BackEndSettings:
             standard deviations, with what is added to its covariance, and share of the patches
             followed so far that the newest slice shows. Above the one and below the other the
             memory is forgotten: a motion has begun at once.
+        temperature: cost, over the mean one of an observation, by which a way is e times as likely
+            as another.
+        same_direction_deg: ways whose directions are nearer are one, deg.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         surely_translates: cost per patch from which that is checked now and then only.
         check_every: adjustments between such checks.
-        directions: of translation that are tried while the memory fills.
+        directions: of translation that are tried while the memory fills; later one in each window.
         directions_at: numbers of nodes at which they are tried.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
@@ -122,6 +125,8 @@ class BackEndSettings:
     lattice_outlier: float = 20.0
     refuted: float = 9.0
     refuting_share: float = 0.6
+    temperature: float = 20.0
+    same_direction_deg: float = 7.0
     rotation_cost: float = 1.25
     surely_translates: float = 3.75
     check_every: int = 3

@@ -33,8 +33,9 @@ def test_the_better_of_two_starts_is_taken():
     poor = start()
     poor = poor._replace(angular=poor.angular + 2.0)
     alone = adjust(o, poor, prior(), SETTINGS.outlier, 1, DEPTHS)
-    found = best(o, poor, prior(), [start()], SETTINGS)
-    assert found is not None
+    result = best(o, poor, prior(), [start()], SETTINGS)
+    assert result is not None
+    found, _ = result
     assert found.cost < alone.cost
     exact = adjust(o, truth(), prior(), SETTINGS.outlier, 40, DEPTHS)
     assert found.cost == pytest.approx(exact.cost, rel=0.05)
