@@ -221,11 +221,13 @@ class RememberingEstimator:
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear = np.zeros(3)
         if adjusted.translates and speed > 0:
+            direction = motion.linear / speed
             variance = lost * direction_variance(experience, cost, back.errors)
-            variance += motion.direction_spread
-            if variance < np.radians(back.widest_direction_deg) ** 2:
-                linear, model = motion.linear / speed, MotionModel.FULL
-                covariance[:3, :3] = variance * (np.eye(3) - np.outer(linear, linear))
+            of_direction = variance * (np.eye(3) - np.outer(direction, direction))
+            of_direction += motion.direction_spread
+            if np.linalg.eigvalsh(of_direction)[-1] < np.radians(back.widest_direction_deg) ** 2:
+                linear, model = direction, MotionModel.FULL
+                covariance[:3, :3] = of_direction
         if model is MotionModel.ROTATION:
             covariance = without_translation(covariance)
         gyro = found.motion if by_gyro else None

@@ -44,7 +44,8 @@ class Hypotheses:
 
         Args:
             found: the way of the least cost; the only one where the camera only rotates.
-            others: that were found. One that ends in the direction of a cheaper one is the same.
+            others: that were found, none cheaper. One that ends in the direction of a cheaper one
+                is the same.
             settings: of the back end.
         """
         kept: list[Guess] = [(found.x, found.cost)]
@@ -74,7 +75,7 @@ class Hypotheses:
         velocity = np.einsum("kij,kj->ki", first.rotation, speed * direction)
         return first._replace(angular=angular, velocity=velocity)
 
-    def spread(self, times: Times, t: int) -> tuple[Array, float]:
+    def spread(self, times: Times, t: int) -> tuple[Array, Array]:
         """How far the ways lie apart at a time.
 
         Args:
@@ -82,15 +83,16 @@ class Hypotheses:
             t: ns.
 
         Returns:
-            Covariance (3, 3) of the angular velocity, rad^2/s^2, and the variance of the direction
-            of translation about either axis across it, rad^2.
+            Covariances (3, 3) of the angular velocity, rad^2/s^2, and of the direction of
+            translation, across it, rad^2.
         """
         w, v, _ = interpolated(times, self.mean, t)
         each = [interpolated(times, x, t) for x in self.ways]
         apart = np.array([angular for angular, _, _ in each]) - w
-        cosine = np.array([_unit(linear) @ _unit(v) for _, linear, _ in each])
-        angle = np.arccos(np.clip(cosine, -1, 1))
-        return (self.share * apart.T) @ apart, float(self.share @ angle**2) / 2
+        v, direction = _unit(v), _unit(np.array([linear for _, linear, _ in each]))
+        along = direction @ v
+        across = np.arccos(np.clip(along, -1, 1))[:, None] * _unit(direction - np.outer(along, v))
+        return (self.share * apart.T) @ apart, (self.share * across.T) @ across
 
     def carried_on(self, seconds: float) -> "Hypotheses":
         """All with another node."""

@@ -23,7 +23,7 @@ from emoflow_ros.core.types.events import NS_PER_S
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-_STRIDE = 7  # so that directions that follow each other are far apart
+_STRIDE = 7  # between directions tried in turn, far apart; it shares no divisor with their number
 
 
 def best(
@@ -50,15 +50,16 @@ def best(
         found = _adjusted(problem, start, prior, settings)
     led: list[Guess] = []
     for guess in filter(None, (guess.result() for guess in guesses)):
-        further = None
-        if found is None or guess[1] < found.cost:
-            further = _adjusted(problem, guess[0], prior, settings)
-        if further is None or (found is not None and further.cost >= found.cost):
+        if found is not None and guess[1] >= found.cost:
             led.append(guess)
             continue
-        if found is not None:
-            led.append((found.x, found.cost))
-        found = further
+        further = _adjusted(problem, guess[0], prior, settings)
+        if further is None:
+            continue
+        if found is None or further.cost < found.cost:
+            found, further = further, found
+        if further is not None:
+            led.append((further.x, further.cost))
     return None if found is None else (found, led)
 
 
@@ -75,7 +76,8 @@ def _guessed(
     with suppress(np.linalg.LinAlgError):
         for outlier, steps in settings.guess:
             x, cost = descend(problem, x, prior, outlier, steps, free, settings.depths)
-    return (x, cost) if np.isfinite(cost) else None
+        return (x, cost) if np.isfinite(cost) else None
+    return None
 
 
 def _adjusted(

@@ -87,8 +87,7 @@ class BackEndSettings:
             standard deviations, with what is added to its covariance, and share of the patches
             followed so far that the newest slice shows. Above the one and below the other the
             memory is forgotten: a motion has begun at once.
-        temperature: cost, over the mean one of an observation, by which a way is e times as likely
-            as another.
+        temperature: cost, times the misfit, by which a way is e times less likely than another.
         same_direction_deg: ways whose directions are nearer are one, deg.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
         surely_translates: cost per patch from which that is checked now and then only.

@@ -24,15 +24,15 @@ class MotionAt:
         angular: (3,) rad/s.
         linear: (3,) mean depths per second; zeros where the camera only rotates.
         covariance: (3, 3) of the angular velocity, by the normal equations.
-        spread, direction_spread: covariance (3, 3) of the angular velocity, and variance of the
-            direction about either axis across it, rad^2, by other ways that are possible.
+        spread, direction_spread: covariances (3, 3) of the angular velocity and of the direction,
+            rad^2, by other ways that are possible.
     """
 
     angular: Array
     linear: Array
     covariance: Array
     spread: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    direction_spread: float = 0.0
+    direction_spread: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 def first_node(angular: Array, velocity: Array) -> Unknowns:
