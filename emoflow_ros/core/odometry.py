@@ -91,14 +91,7 @@ class State:
         if self.adjusted is None or self.hypotheses is None:
             return None
         angular, linear, _ = interpolated(self.t, self.hypotheses.mean, t)
-        spread, of_direction = self.hypotheses.spread(self.t, t)
-        return replace(
-            motion_at(self.t, self.adjusted, t),
-            angular=angular,
-            linear=linear,
-            spread=spread,
-            direction_spread=of_direction,
-        )
+        return replace(motion_at(self.t, self.adjusted, t), angular=angular, linear=linear)
 
 
 class Odometry:

@@ -204,6 +204,7 @@ class RememberingEstimator:
         """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
         back, adjusted, hypotheses = self._odometry.back, state.adjusted, state.hypotheses
         assert adjusted is not None and hypotheses is not None
+        spread, spread_of_direction = hypotheses.spread(state.t, found.t)
         cost, seconds = adjusted.mean_cost(back), window.duration
         if found.quality.warm:  # else what is short was tried, not measured
             seconds = (found.t_end - found.t_start) / NS_PER_S
@@ -217,14 +218,14 @@ class RememberingEstimator:
             seen = state.patches.times_seen
             factor = lost * angular_factor(experience, cost, seen, seconds, back.errors)
             factor *= back.errors.alone if found.flow is None else 1.0
-            angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + motion.spread
+            angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + spread
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear = np.zeros(3)
         if adjusted.translates and speed > 0:
             direction = motion.linear / speed
             variance = lost * direction_variance(experience, cost, back.errors)
             of_direction = variance * (np.eye(3) - np.outer(direction, direction))
-            of_direction += motion.direction_spread
+            of_direction += spread_of_direction
             if np.linalg.eigvalsh(of_direction)[-1] < np.radians(back.widest_direction_deg) ** 2:
                 linear, model = direction, MotionModel.FULL
                 covariance[:3, :3] = of_direction

@@ -2,14 +2,18 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from test_remembering import Run, run_of
 
+from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate
+
+W_ONLY, V_ONLY = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +35,15 @@ def last_of(run: Run, back: BackEndSettings | None = None, *, warm: bool = True)
     return estimate
 
 
-def test_a_motion_is_less_sure_where_few_patches_are_found_again(calm: Run):
+def spread_of(monkeypatch: pytest.MonkeyPatch, variance: float) -> None:
+    """Let other ways lie apart by variances of w and, twice as much, of the direction."""
+    monkeypatch.setattr(Hypotheses, "spread", lambda *_: (variance * W_ONLY, 2 * variance * V_ONLY))
+
+
+def test_a_motion_is_less_sure_where_few_patches_are_found_again(
+    calm: Run, monkeypatch: pytest.MonkeyPatch
+):
+    spread_of(monkeypatch, 0.0)
     law = BackEndSettings().errors
     sure = last_of(calm)
     losing = BackEndSettings(errors=replace(law, lost_share=1.1))
@@ -41,7 +53,8 @@ def test_a_motion_is_less_sure_where_few_patches_are_found_again(calm: Run):
     assert unsure.angular.tolist() == sure.angular.tolist()
 
 
-def test_only_of_a_warm_fit_the_length_counts(calm: Run):
+def test_only_of_a_warm_fit_the_length_counts(calm: Run, monkeypatch: pytest.MonkeyPatch):
+    spread_of(monkeypatch, 0.0)
     warm, cold = last_of(calm), last_of(calm, warm=False)
     part = (warm.t_end - warm.t_start) / 1e9
     assert part < 0.9 * calm.windows[5].duration
@@ -50,10 +63,42 @@ def test_only_of_a_warm_fit_the_length_counts(calm: Run):
     assert cold.covariance[:3, :3] == pytest.approx(warm.covariance[:3, :3])
 
 
-def test_a_motion_is_less_sure_where_other_ways_are_as_likely(calm: Run):
-    sure = last_of(calm, replace(BackEndSettings(), temperature=1e-9))
-    as_likely = last_of(calm, replace(BackEndSettings(), temperature=1e9))
-    of_w = [float(e.covariance[3:, 3:].trace()) for e in (sure, as_likely)]
-    assert of_w[1] > 1.5 * of_w[0]
-    assert sure.translation_observable
-    assert as_likely.covariance[0, 0] > 4 * sure.covariance[0, 0]
+def test_the_spread_of_other_ways_is_added(calm: Run, monkeypatch: pytest.MonkeyPatch):
+    spread_of(monkeypatch, 0.0)
+    one_way = last_of(calm)
+    spread_of(monkeypatch, 0.01)
+    several = last_of(calm)
+    assert several.covariance[3:, 3:] == pytest.approx(one_way.covariance[3:, 3:] + 0.01 * W_ONLY)
+    of_direction = one_way.covariance[:3, :3] + 0.02 * V_ONLY
+    assert several.covariance[:3, :3] == pytest.approx(of_direction)
+    assert several.angular.tolist() == one_way.angular.tolist()
+
+
+def test_a_direction_that_is_wide_on_one_axis_is_not_told(
+    calm: Run, monkeypatch: pytest.MonkeyPatch
+):
+    spread_of(monkeypatch, 0.5)  # 57 degrees
+    assert last_of(calm).translation_observable
+    spread_of(monkeypatch, 0.6)  # 63 degrees
+    wide = last_of(calm)
+    assert not wide.translation_observable
+    assert wide.linear.tolist() == [0, 0, 0]
+
+
+def test_ways_and_times_of_the_nodes_stay_in_step(calm: Run):
+    camera = calm.recording.camera
+    lattice = LatticeEstimator(camera, LatticeConfig())
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+    memory, taken, ways = reader.nothing(), 0, 0
+    for window in calm.windows:
+        before = memory.odometry.t
+        memory, _ = reader.step(memory, window, lattice.estimate(window))
+        state = memory.odometry
+        taken += len(np.setdiff1d(state.t, before))
+        assert (state.hypotheses is None) == (state.adjusted is None)
+        for way in state.hypotheses.ways if state.hypotheses else ():
+            assert [len(values) for values in way[:4]] == [len(state.t)] * 4
+            assert way.position[-1].tolist() == [0, 0, 0]
+        ways = max(ways, len(state.hypotheses.ways) if state.hypotheses else 0)
+    assert taken > len(memory.odometry.t)  # some were forgotten
+    assert ways > 1

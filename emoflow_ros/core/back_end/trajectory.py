@@ -1,6 +1,6 @@
 """The camera's way over the nodes: carried on, centred, put together, and read off at a time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +24,11 @@ class MotionAt:
         angular: (3,) rad/s.
         linear: (3,) mean depths per second; zeros where the camera only rotates.
         covariance: (3, 3) of the angular velocity, by the normal equations.
-        spread, direction_spread: covariances (3, 3) of the angular velocity and of the direction,
-            rad^2, by other ways that are possible.
     """
 
     angular: Array
     linear: Array
     covariance: Array
-    spread: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    direction_spread: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 def first_node(angular: Array, velocity: Array) -> Unknowns:

@@ -76,9 +76,11 @@ def test_a_camera_that_only_rotates_has_no_rival(found: Adjusted):
 def test_ways_are_in_units_of_their_own_depth(found: Adjusted):
     near = found.x._replace(inverse_depth=1.5 * found.x.inverse_depth)
     scale = float(np.median(near.inverse_depth))
-    hypotheses = Hypotheses.weighed(replace(found, x=near), [], BACK)
+    other = reversed_(found.x)._replace(inverse_depth=0.7 * np.ones(PATCHES))
+    hypotheses = Hypotheses.weighed(replace(found, x=near), [(other, found.cost)], BACK)
     assert hypotheses.ways[0].velocity == pytest.approx(scale * near.velocity)
-    assert not len(hypotheses.ways[0].inverse_depth)
+    assert hypotheses.ways[1].velocity == pytest.approx(0.7 * other.velocity)
+    assert [len(x.inverse_depth) for x in hypotheses.ways] == [0, 0]
 
 
 def test_the_mean_is_by_their_shares():
@@ -93,13 +95,15 @@ def test_the_mean_of_one_is_that_one():
     mean_w, mean_v, _ = interpolated(T, alone.mean, MIDDLE)
     assert mean_w == pytest.approx(w) and mean_v == pytest.approx(v)
     spread, of_direction = alone.spread(T, MIDDLE)
-    assert spread == pytest.approx(np.zeros((3, 3))) and of_direction == pytest.approx(0, abs=1e-9)
+    assert spread == pytest.approx(np.zeros((3, 3)))
+    assert of_direction == pytest.approx(np.zeros((3, 3)), abs=1e-9)
 
 
 def test_the_spread_is_their_distance_from_the_mean():
     spread, of_direction = pair([0.5, 0.5]).spread(T, MIDDLE)
     assert spread == pytest.approx(np.outer(W, W))
-    assert of_direction == pytest.approx((np.pi / 4) ** 2 / 2)  # 45 degrees off, on one axis of two
+    across = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)  # both are 45 degrees off, to either side
+    assert of_direction == pytest.approx((np.pi / 4) ** 2 * np.outer(across, across))
 
 
 def test_they_go_on_node_by_node():
@@ -109,7 +113,9 @@ def test_they_go_on_node_by_node():
     assert rival.rotation[-2].T @ rival.velocity[-2] == pytest.approx([0, 0, 0.7])
     assert rival.velocity[-1] == pytest.approx(rival.velocity[-2])
     assert rival.position[-2] == pytest.approx(-0.04 * rival.velocity[-2], abs=1e-3)
-    assert [len(x.position) for x in longer.without_node(0).ways] == [NODES] * 2
+    shorter = longer.without_node(0).ways
+    assert [len(x.position) for x in shorter] == [NODES] * 2
+    assert shorter[1].position.tolist() == rival.position[1:].tolist()
 
 
 def test_the_rival_is_tried_again_or_else_the_reversed_way(found: Adjusted):
