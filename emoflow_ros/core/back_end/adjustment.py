@@ -63,9 +63,8 @@ class Adjusted:
     def of_unit_depth(self) -> "Adjusted":
         """The same with the scene scaled so that its median inverse depth is one."""
         x, scale = of_unit_depth(self.x)
-        by_kind = np.repeat(
-            [1.0, 1 / scale, 1.0, 1 / scale], 3
-        )  # in the order of a node's unknowns
+        # in the order of a node's unknowns
+        by_kind = np.repeat([1.0, 1 / scale, 1.0, 1 / scale], 3)
         factor = np.tile(by_kind, len(x.position))[self.free]
         return replace(self, x=x, matrix=factor[:, None] * self.matrix * factor)
 

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from emoflow_ros.core.back_end.adjustment import Adjusted, of_unit_depth
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.settings import BackEndSettings
-from emoflow_ros.core.back_end.trajectory import (
-    carried_on,
-    interpolated,
-    without_node,
-)
+from emoflow_ros.core.back_end.trajectory import carried_on, interpolated, without_node
+from emoflow_ros.core.front_end.appearance import unit
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -50,8 +47,9 @@ class Hypotheses:
         """
         kept: list[Guess] = [(found.x, found.cost)]
         near = np.cos(np.radians(settings.same_direction_deg))
-        for x, cost in sorted(others, key=lambda other: other[1]) if found.translates else []:
-            if all(_unit(x.velocity[-1]) @ _unit(y.velocity[-1]) < near for y, _ in kept):
+        rivals = sorted(others, key=lambda other: other[1]) if found.translates else []
+        for x, cost in rivals:
+            if all(unit(x.velocity[-1]) @ unit(y.velocity[-1]) < near for y, _ in kept):
                 kept.append((x, cost))
         least = settings.errors.least_cost
         temperature = settings.temperature * max(found.mean_cost(settings), least)
@@ -69,8 +67,8 @@ class Hypotheses:
         """The likeliest way with the mean velocities, the directions of which are averaged."""
         first = self.ways[0]
         angular = np.tensordot(self.share, [x.angular for x in self.ways], 1)
-        directions = [np.einsum("kji,kj->ki", x.rotation, _unit(x.velocity)) for x in self.ways]
-        direction = _unit(np.tensordot(self.share, directions, 1))
+        directions = [np.einsum("kji,kj->ki", x.rotation, unit(x.velocity)) for x in self.ways]
+        direction = unit(np.tensordot(self.share, directions, 1))
         speed = np.linalg.norm(first.velocity, axis=1, keepdims=True)
         velocity = np.einsum("kij,kj->ki", first.rotation, speed * direction)
         return first._replace(angular=angular, velocity=velocity)
@@ -89,9 +87,9 @@ class Hypotheses:
         w, v, _ = interpolated(times, self.mean, t)
         each = [interpolated(times, x, t) for x in self.ways]
         apart = np.array([angular for angular, _, _ in each]) - w
-        v, direction = _unit(v), _unit(np.array([linear for _, linear, _ in each]))
+        v, direction = unit(v), unit(np.array([linear for _, linear, _ in each]))
         along = direction @ v
-        across = np.arccos(np.clip(along, -1, 1))[:, None] * _unit(direction - np.outer(along, v))
+        across = np.arccos(np.clip(along, -1, 1))[:, None] * unit(direction - np.outer(along, v))
         return (self.share * apart.T) @ apart, (self.share * across.T) @ across
 
     def carried_on(self, seconds: float) -> "Hypotheses":
@@ -101,9 +99,3 @@ class Hypotheses:
     def without_node(self, node: int) -> "Hypotheses":
         """All without a node."""
         return replace(self, ways=tuple(without_node(x, node) for x in self.ways))
-
-
-def _unit(vectors: Array) -> Array:
-    """Vectors (..., 3) of length one; zeros stay."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1.0))

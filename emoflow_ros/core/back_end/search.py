@@ -45,7 +45,7 @@ def best(
     Returns:
         The best, and where the others led to; None if all diverge.
     """
-    with ThreadPoolExecutor(2) as beside:
+    with ThreadPoolExecutor(1) as beside:  # a second one brings nothing: the start takes a core
         guesses = [beside.submit(_guessed, problem, x, prior, settings) for x in others]
         found = _adjusted(problem, start, prior, settings)
     led: list[Guess] = []

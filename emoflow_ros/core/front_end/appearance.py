@@ -28,8 +28,8 @@ def moves(flow: Array, settings: FrontEndSettings) -> Mask:
 
 
 def unit(vectors: Array) -> Array:
-    """Vectors (N, 2) of length one; zero stays."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    """Vectors (..., D) of length one; zero stays."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1.0))
 
 
