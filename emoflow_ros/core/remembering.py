@@ -12,13 +12,14 @@ from emoflow_ros.core.back_end.consistency import (
     direction_variance,
 )
 from emoflow_ros.core.back_end.evidence import Measured
-from emoflow_ros.core.back_end.scene import depths_now, motion_field
+from emoflow_ros.core.back_end.scene import depths_now
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
 from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import Depths
@@ -122,13 +123,19 @@ class RememberingEstimator:
             return replace(memory, end=end), found
         memory, motion = Memory(state, memory.experience, window.t_end), state.motion(found.t)
         if motion is None:
-            return memory, found
+            return memory, self._first(found)
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
         return memory, self._read(window, found, state, motion, memory.experience)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
         return Memory(self._odometry.start(), Experience.none(self._odometry.back.errors))
+
+    def _first(self, found: Estimate) -> Estimate:
+        """Tell the lattice's motion, less sure of itself; a gyro's angular velocity stays."""
+        by_gyro, known = found.gyro.state is GyroState.USED, found.translation_observable
+        wider = np.repeat([known, not by_gyro], 3) * (self._odometry.back.errors.first - 1)
+        return replace(found, covariance=found.covariance * (1 + np.sqrt(np.outer(wider, wider))))
 
     def _learnt(
         self, experience: Experience, found: Estimate, state: State, motion: MotionAt

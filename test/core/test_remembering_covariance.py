@@ -10,8 +10,10 @@ from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
+from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.remembering import RememberingEstimator
-from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.estimate import Estimate, MotionModel
+from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 
 W_ONLY, V_ONLY = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.0, 0.0])
 
@@ -102,3 +104,20 @@ def test_ways_and_times_of_the_nodes_stay_in_step(calm: Run):
         ways = max(ways, len(state.hypotheses.ways) if state.hypotheses else 0)
     assert taken > len(memory.odometry.t)  # some were forgotten
     assert ways > 1
+
+
+@pytest.mark.parametrize("gyro", [GyroState.NONE, GyroState.USED])
+def test_a_first_window_is_less_sure_than_the_lattice(calm: Run, gyro: GyroState):
+    camera = calm.recording.camera
+    lattice = LatticeEstimator(camera, LatticeConfig())
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+    found = replace(lattice.estimate(calm.windows[0]), gyro=GyroStatus(gyro))
+    covariance = np.diag([0.01, 0.02, 0.03, 0.1, 0.2, 0.3])
+    known = replace(found, model=MotionModel.FULL, linear=np.eye(3)[0], covariance=covariance)
+    unknown = replace(found, model=MotionModel.ROTATION, covariance=without_translation(covariance))
+    _, told = reader.step(reader.nothing(), calm.windows[0], known)
+    of_w = 1.0 if gyro is GyroState.USED else 3.0
+    assert told.covariance == pytest.approx(np.repeat([3.0, of_w], 3) * covariance)
+    _, told = reader.step(reader.nothing(), calm.windows[0], unknown)
+    assert told.covariance[:3, :3].tolist() == without_translation(covariance)[:3, :3].tolist()
+    assert told.covariance[3:, 3:] == pytest.approx(of_w * covariance[3:, 3:])

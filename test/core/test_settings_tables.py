@@ -19,6 +19,7 @@ OF_FORM = {
     "gyro/checks": {"UNLIKELY_6", "UNLIKELY_3", "_DEG", "AXES"},
     "gyro/clock": {"_REACH_NS", "Times"},
     "gyro/measurement": set(),
+    "lattice/blending": {"_LEAST"},
     "lattice/belief": {"INFORMATION_EXCESS", "_MEAN", "_SLOPE"},
     "lattice/confinement": {"_FEWEST_NODES"},
     "lattice/constraints": {"_STRUCTURE_INLIER_PX"},

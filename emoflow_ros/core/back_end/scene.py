@@ -10,7 +10,7 @@ from emoflow_ros.core.front_end.bearings import looked_up
 from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.front_end.slices import GRID_PX, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.geometry.camera_motion import motion_matrices
+from emoflow_ros.core.geometry.camera_motion import motion_field
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -50,17 +50,6 @@ def _spread(count: int, sigma: float) -> Array:
     """Normalised Gaussian (count, count) of the distance between nodes."""
     apart = np.arange(count) - np.arange(count)[:, None]
     return np.exp(-0.5 * (apart / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
-
-
-def motion_field(camera: Camera, points: Array) -> tuple[Array, Array]:
-    """Matrices A and B (..., 2, 3) of the motion field in px at points (..., 2) px."""
-    bearings, jacobian = camera.undistort(points)
-    known = np.isfinite(bearings).all(axis=-1)
-    bearings = np.where(known[..., None], bearings, 0.0)
-    jacobian = np.where(known[..., None, None], jacobian, np.eye(2) / camera.fx)
-    a, b = motion_matrices(bearings)
-    lens = np.linalg.inv(jacobian)
-    return lens @ a, lens @ b
 
 
 def rigid_flow(

@@ -18,6 +18,7 @@ class ErrorLaw:
         of_apart, of_revised, of_cost, of_seconds, of_seen: powers of its distance from the
             lattice's, of its revisions, of the cost of an observation, of the window's length, and
             of one more than the number of slices that show a patch.
+        first: factor on the lattice's covariance where the memory tells no motion yet.
         alone: factor besides where the lattice sees no motion.
         lost, lost_share: factor besides, for the direction, too, where the newest slice shows less
             than this share of the patches followed.
@@ -37,6 +38,7 @@ class ErrorLaw:
     of_cost: float = 0.75
     of_seconds: float = 1.0
     of_seen: float = -2.0
+    first: float = 3.0
     alone: float = 2.0
     lost: float = 8.0
     lost_share: float = 0.1

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from emoflow_ros.core.geometry.camera import Camera
+
 Array = NDArray[np.float64]
 
 CONTROL_POINTS = 4
@@ -33,6 +35,20 @@ def motion_matrices(bearings: Array) -> tuple[Array, Array]:
     b[..., 0, 0], b[..., 0, 1], b[..., 0, 2] = x * y, -(1 + x * x), y
     b[..., 1, 0], b[..., 1, 1], b[..., 1, 2] = 1 + y * y, -x * y, -x
     return a, b
+
+
+def motion_field(camera: Camera, points: Array) -> tuple[Array, Array]:
+    """Matrices A and B (..., 2, 3) of the motion field in px at points (..., 2) px.
+
+    Where the lens has no inverse they are those of the image's middle.
+    """
+    bearings, jacobian = camera.undistort(points)
+    known = np.isfinite(bearings).all(axis=-1)
+    bearings = np.where(known[..., None], bearings, 0.0)
+    jacobian = np.where(known[..., None, None], jacobian, np.eye(2) / camera.fx)
+    a, b = motion_matrices(bearings)
+    lens = np.linalg.inv(jacobian)
+    return lens @ a, lens @ b
 
 
 def dec_residual(bearings: Array, flow: Array, v: Array, w: Array) -> Array:

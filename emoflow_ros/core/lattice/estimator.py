@@ -13,6 +13,7 @@ from emoflow_ros.core.gyro.config import GyroConfig
 from emoflow_ros.core.gyro.gyro import Gyro
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
 from emoflow_ros.core.lattice.belief import KnownRotation, MotionPrior
+from emoflow_ros.core.lattice.blending import Blend
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.confinement import is_confined
 from emoflow_ros.core.lattice.contrast import contrast_gain
@@ -52,6 +53,7 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config)
+        self._blend = Blend(self._image.camera, self.lattice)
         self._change = MotionChange(self._fit.contrasts[0.25])
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
@@ -79,11 +81,13 @@ class LatticeEstimator:
         depths = replace(depths, points=depths.points / self._image.sensor_px)
         with self._threads.limit(limits=1, user_api="blas"):
             found = refined(self._fit, self._events, estimate, depths)
-        if found is None:
-            return estimate
-        flow = LatticeFlow(
-            *self._image.on_sensor(self.lattice, found), estimate.t_start, estimate.t_end
-        )
+            if found is None:
+                return estimate
+            lattice = self.lattice
+            if estimate.translation_observable and len(depths.points):
+                lattice = self._blend.fine
+                found = self._blend(self._events, found, estimate, depths)
+        flow = LatticeFlow(*self._image.on_sensor(lattice, found), estimate.t_start, estimate.t_end)
         return replace(estimate, flow=flow)
 
     def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:

@@ -83,11 +83,9 @@ def refined(
         was fitted.
     """
     seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
-    assert estimate.motion is not None
     if fit.motion is None:
         return None
-    times = np.linspace(estimate.t_start, estimate.t_end, _TIMES).astype(np.int64)
-    w = seconds * np.array([estimate.motion.angular(int(t)) for t in times])
+    w = rotation_over(estimate)
     of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)
     again = copy(fit)
     again.known = KnownRotation.seen(w, of_w)
@@ -111,6 +109,17 @@ def refined(
     except np.linalg.LinAlgError:
         return None
     return again.flow if np.isfinite(again.flow).all() else None
+
+
+def rotation_over(estimate: Estimate) -> Array:
+    """Angular velocities (T, 3) at times from the start of an estimate's window to its end.
+
+    They are in rad per window. The estimate has a motion.
+    """
+    assert estimate.motion is not None
+    times = np.linspace(estimate.t_start, estimate.t_end, _TIMES).astype(np.int64)
+    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+    return seconds * np.array([estimate.motion.angular(int(t)) for t in times])
 
 
 def _prior(w: Array, estimate: Estimate, seconds: float) -> MotionPrior:

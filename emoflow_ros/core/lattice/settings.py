@@ -93,6 +93,13 @@ class LatticeSettings:
         spread: standard deviation of the distance from a node to patches that count for its depth,
             in spacings.
         own_sd: of one patch's depth, over the depth.
+        closer: number of nodes of a blended flow for each one of the lattice, along an axis.
+        depth_reaches: standard deviations of the distance to patches, px, and how much they count:
+            the wide ones where no patch is near.
+        blend_px: standard deviation of the distance within which contrasts of two flows are
+            compared, px.
+        blend_power, blend_bias: the share of the other flow is the logistic function of so many
+            times the logarithm of its contrast over the lattice's, less the bias.
     """
 
     longer_side_px: int = 346
@@ -161,6 +168,11 @@ class LatticeSettings:
     stiffer: float = 10.0
     spread: float = 0.5
     own_sd: float = 0.1
+    closer: int = 3
+    depth_reaches: tuple[tuple[float, float], ...] = ((8.0, 1.0), (24.0, 0.03), (80.0, 0.003))
+    blend_px: float = 16.0
+    blend_power: float = 8.0
+    blend_bias: float = 1.0
 
 
 LATTICE = LatticeSettings()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.preparation import reduction
+from emoflow_ros.core.numerics.jit import njit
 from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import Estimate, velocity_at
 from emoflow_ros.core.types.events import NS_PER_S, Events, Window
@@ -146,11 +147,23 @@ def _in_blocks(events: Events, camera: Camera) -> tuple[Array, float]:
     """Count the events (N,) of the image's N whole blocks, and sum the squares of their weights."""
     side = round(STREAM.block_px * reduction(camera))
     columns, rows = camera.width // side, camera.height // side
-    x, y = events.x // side, events.y // side
-    inside = (x < columns) & (y < rows)
-    block = y[inside].astype(np.intp) * columns + x[inside]
-    weight = np.ones(len(block))
-    if events.stands_for is not None:
-        weight = events.stands_for[inside].astype(np.float64)
-    number: Array = np.bincount(block, weight, columns * rows).astype(np.float64)
-    return number, float(weight @ weight)
+    weights = np.ones(1, np.uint32) if events.stands_for is None else events.stands_for
+    number = np.zeros((rows, columns))
+    squares = _count(events.x, events.y, weights, events.stands_for is None, side, number)
+    return number.ravel(), squares
+
+
+@njit(nogil=True)
+def _count(
+    x: NDArray[np.uint16], y: NDArray[np.uint16], weights: NDArray[np.uint32], one_each: bool,
+    side: int, number: Array,
+) -> float:  # fmt: skip
+    """Add weights of events to their blocks (rows, columns); return the sum of the squares."""
+    squares = 0.0
+    for k in range(len(x)):
+        i, j = y[k] // side, x[k] // side
+        if i < number.shape[0] and j < number.shape[1]:
+            weight = 1.0 if one_each else float(weights[k])
+            number[i, j] += weight
+            squares += weight * weight
+    return squares

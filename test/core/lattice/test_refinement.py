@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emoflow_ros.config import load_config
-from emoflow_ros.core.back_end.scene import motion_field
+from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.refinement import Depths

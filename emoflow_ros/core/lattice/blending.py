@@ -1,0 +1,119 @@
+"""Two flows of a window as one: where which of them is sharper tells which is nearer.
+
+The lattice's flow is smooth between nodes that are far apart, and depths of patches know nothing of
+what lies between them. Their errors differ from place to place.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import motion_field
+from emoflow_ros.core.lattice.contrast import Contrast
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.kernels import MARGIN
+from emoflow_ros.core.lattice.refinement import Depths, rotation_over
+from emoflow_ros.core.lattice.settings import LATTICE
+from emoflow_ros.core.lattice.window_events import WindowEvents
+from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.events import NS_PER_S
+
+Array = NDArray[np.float64]
+F32 = NDArray[np.float32]
+
+_LEAST = 1e-6  # contrast that is as good as none
+
+
+class Blend:
+    """Blends a lattice's flow with that of a rigid scene, at nodes closer together.
+
+    Args:
+        camera: of the working image.
+        lattice: of the flow; the nodes of `fine` are three times as close, every third one of the
+            lattice's.
+
+    Attributes:
+        fine: the lattice of what is blended.
+    """
+
+    def __init__(self, camera: Camera, lattice: Lattice) -> None:
+        closer = LATTICE.closer
+        self._lattice = lattice
+        self.fine = replace(
+            lattice,
+            columns=closer * (lattice.columns - 1) + 1,
+            rows=closer * (lattice.rows - 1) + 1,
+        )
+        self._contrast = Contrast(self.fine, 1.0)
+        self._a, self._b = motion_field(camera, self.fine.pixels)
+        height, width = self._contrast.image.shape
+        zoom, reach = LATTICE.sampling, LATTICE.blend_px
+        self._by_column, self._by_row = (
+            _near((np.arange(side) - MARGIN + 0.5 - 0.5 * zoom) / zoom, nodes, reach)
+            for side, nodes in ((width, self._columns), (height, self._rows))
+        )
+
+    @property
+    def _columns(self) -> Array:
+        return np.linspace(0, self.fine.width - 1, self.fine.columns)
+
+    @property
+    def _rows(self) -> Array:
+        return np.linspace(0, self.fine.height - 1, self.fine.rows)
+
+    def rigid(self, w: Array, v: Array, points: Array, inverse_depth: Array) -> Array:
+        """Flow of a rigid scene at the nodes of `fine`, (columns, rows, 2) px per window.
+
+        Args:
+            w: (3,) rad per window.
+            v: (3,) unit vector.
+            points: (N, 2) px, N > 0, whose depths are known; between them they are means, of near
+                ones first.
+            inverse_depth: (N,) travelled distances per window.
+        """
+        above, below = np.zeros((2, self.fine.columns, self.fine.rows))
+        for reach, weight in LATTICE.depth_reaches:
+            x = _near(points[:, 0], self._columns, reach)
+            y = _near(points[:, 1], self._rows, reach)
+            above += weight * ((x * inverse_depth) @ y.T)
+            below += weight * (x @ y.T)
+        rho = (above / np.maximum(below, np.finfo(float).tiny)).reshape(-1, 1)
+        flow = self._b @ w + rho * (self._a @ v)
+        return np.asarray(flow.reshape(self.fine.columns, self.fine.rows, 2))
+
+    def __call__(self, events: WindowEvents, flow: F32, estimate: Estimate, depths: Depths) -> F32:
+        """Blend by the contrast around each node, (columns, rows, 2, 2) px per window of `fine`.
+
+        The rigid scene's flow is the mean over the window: it changes in time as the other one.
+
+        Args:
+            events: of the window.
+            flow: of the lattice, (columns, rows, 2, 2) px per window.
+            estimate: of the window, with v.
+            depths: of at least one point, in the pixels of the working image.
+        """
+        seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+        w, rho = rotation_over(estimate).mean(axis=0), seconds * depths.inverse_depth
+        rigid = self.rigid(w, estimate.linear, depths.points, rho)
+        nodes = flow.astype(np.float64).reshape(len(self._lattice.pixels), -1)
+        own = self._lattice.interpolate(nodes, self.fine.pixels)
+        own = own.reshape(self.fine.shape)
+        apart = (rigid - own.mean(axis=2))[:, :, None]
+        sharper = np.log(self._around(events, own + apart) / self._around(events, own))
+        share = expit(LATTICE.blend_power * sharper - LATTICE.blend_bias)
+        return (own + share[:, :, None, None] * apart).astype(np.float32)
+
+    def _around(self, events: WindowEvents, flow: Array) -> Array:
+        """Contrast around each node (columns, rows) of the events warped along a flow."""
+        self._contrast.sharpen(events, flow.astype(np.float32))
+        squares = self._contrast.image.astype(np.float64) ** 2
+        return np.asarray(self._by_column @ squares.T @ self._by_row.T + _LEAST)
+
+
+def _near(places: Array, nodes: Array, reach: float) -> Array:
+    """Gaussian weights (nodes, places) of the distance between nodes and places along an axis."""
+    weights = np.exp(-0.5 * ((nodes[:, None] - places) / reach) ** 2)
+    return np.asarray(weights / (np.sqrt(2 * np.pi) * reach))

@@ -1,0 +1,143 @@
+"""Two flows blended by which is sharper: known flows, and depths that only one of them shows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import motion_field
+from emoflow_ros.core.lattice.blending import Blend
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.lattice.settings import LATTICE
+from emoflow_ros.core.lattice.window_events import WindowEvents
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+
+SIZE = 173, 130
+WINDOW_NS = 100_000_000
+CAMERA = Camera(*SIZE, 120.0, 120.0, 86.0, 64.5)
+COARSE = Lattice.with_spacing(*SIZE, 26.0)
+W, V = np.array([0.02, -0.03, 0.01]), np.array([1.0, 0.0, 0.0])
+RHO = 0.08  # ways per window: 10 px
+
+
+class Still:
+    """A constant motion (a Motion)."""
+
+    def angular(self, _: int) -> np.ndarray:
+        return W * (1e9 / WINDOW_NS)
+
+    def linear(self, _: int) -> np.ndarray:
+        return V
+
+
+def estimate() -> Estimate:
+    found = Estimate(0, WINDOW_NS, WINDOW_NS // 2, Status.OK, Quality(1, 1, "", 2.0))
+    covariance = np.diag([0.0, 0.1, 0.1, 0.1, 0.1, 0.1])
+    return replace(found, model=MotionModel.FULL, linear=V, covariance=covariance, motion=Still())
+
+
+def depths(near: float = 1.0) -> Depths:
+    """Points all over the image; those of the right half are so many times as near."""
+    x, y = np.meshgrid(np.arange(4.0, SIZE[0], 8), np.arange(4.0, SIZE[1], 8))
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    rho = RHO * np.where(points[:, 0] > SIZE[0] / 2, near, 1.0)
+    return Depths(points, rho * (1e9 / WINDOW_NS))
+
+
+def flow_of(points: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    a, b = motion_field(CAMERA, points)
+    return b @ W + rho[:, None] * (a @ V)
+
+
+def events(near: float = 1.0) -> WindowEvents:
+    """Edges of a rigid scene whose right half is nearer, seen at their true places."""
+    rng = np.random.default_rng(3)
+    spots = rng.uniform(8, np.array(SIZE) - 8, (400, 2))
+    spots = spots[np.abs(spots[:, 0] - SIZE[0] / 2) > 12]
+    which = rng.integers(len(spots), size=12_000)
+    s = np.sort(rng.uniform(size=len(which)))
+    at = spots[which]
+    rho = RHO * np.where(at[:, 0] > SIZE[0] / 2, near, 1.0)
+    xy = at + (s[:, None] - 0.5) * flow_of(at, rho)
+    seen = ((xy > 0) & (xy < np.array(SIZE) - 1)).all(axis=1)
+    columns = (xy[seen, 0], xy[seen, 1], s[seen], np.where(which % 2, 1.0, -1.0)[seen])
+    return WindowEvents(*(c.astype(np.float32) for c in columns))
+
+
+def lattice_flow(near: float = 1.0) -> np.ndarray:
+    nodes = COARSE.pixels
+    rho = RHO * np.where(nodes[:, 0] > SIZE[0] / 2, near, 1.0)
+    return np.repeat(flow_of(nodes, rho)[:, None], 2, axis=1).reshape(COARSE.shape)
+
+
+def right_of(blend: Blend) -> np.ndarray:
+    """Nodes of the fine lattice that lie in the right half, away from its sides."""
+    x, y = blend.fine.pixels.T
+    return (x > SIZE[0] / 2 + 16) & (x < SIZE[0] - 20) & (y > 20) & (y < SIZE[1] - 20)
+
+
+def test_every_third_node_is_one_of_the_lattice():
+    blend = Blend(CAMERA, COARSE)
+    pixels = blend.fine.pixels.reshape(blend.fine.columns, blend.fine.rows, 2)
+    assert pixels[::3, ::3].reshape(-1, 2) == pytest.approx(COARSE.pixels)
+
+
+def test_a_rigid_flow_is_that_of_the_depths():
+    blend, known = Blend(CAMERA, COARSE), depths(2.0)
+    rho = known.inverse_depth * (WINDOW_NS / 1e9)
+    rigid = blend.rigid(W, V, known.points, rho).reshape(-1, 2)
+    nodes = blend.fine.pixels
+    true = flow_of(nodes, RHO * np.where(nodes[:, 0] > SIZE[0] / 2, 2.0, 1.0))
+    off_the_edge = np.abs(nodes[:, 0] - SIZE[0] / 2) > 30
+    assert rigid[off_the_edge] == pytest.approx(true[off_the_edge], abs=0.05)
+
+
+def test_two_flows_that_agree_stay_as_they_are():
+    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    blended = blend(events(), flow, estimate(), depths())
+    own = COARSE.interpolate(flow[:, :, 0].reshape(-1, 2).astype(float), blend.fine.pixels)
+    for time in range(2):
+        assert blended[:, :, time].reshape(-1, 2) == pytest.approx(own, abs=0.03)
+
+
+def test_where_the_depths_are_sharper_they_are_believed():
+    blend = Blend(CAMERA, COARSE)
+    flow = lattice_flow().astype(np.float32)  # the whole scene at one depth
+    blended = blend(events(2.0), flow, estimate(), depths(2.0)).mean(axis=2).reshape(-1, 2)
+    true = flow_of(blend.fine.pixels, np.full(len(blended), 2 * RHO))
+    right = right_of(blend)
+    own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
+    before, after = (np.linalg.norm((f - true)[right], axis=1).mean() for f in (own, blended))
+    assert before > 8
+    assert after < 1
+
+
+def test_where_the_lattice_is_sharper_depths_are_not_believed():
+    blend, flow = Blend(CAMERA, COARSE), lattice_flow(2.0).astype(np.float32)
+    blended = blend(events(2.0), flow, estimate(), depths()).mean(axis=2).reshape(-1, 2)
+    own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
+    right = right_of(blend)
+    assert np.linalg.norm((blended - own)[right], axis=1).mean() < 0.5
+
+
+def test_without_events_the_lattice_counts_more():
+    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    nothing = WindowEvents(*np.zeros((4, 1), np.float32))
+    blended = blend(nothing, flow, estimate(), depths(2.0)).mean(axis=2).reshape(-1, 2)
+    nodes = blend.fine.pixels
+    own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), nodes)
+    right = right_of(blend)
+    share = (blended - own)[right, 0] / (flow_of(nodes, np.full(len(nodes), 2 * RHO)) - own)[
+        right, 0
+    ]
+    assert share == pytest.approx(float(expit(-LATTICE.blend_bias)), abs=0.01)
+
+
+def test_the_change_over_the_window_stays():
+    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    flow[:, :, 1] += np.float32(2.0)
+    blended = blend(events(2.0), flow, estimate(), depths(2.0))
+    assert blended[:, :, 1] - blended[:, :, 0] == pytest.approx(2.0, abs=1e-3)
