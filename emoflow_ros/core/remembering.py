@@ -88,7 +88,7 @@ class RememberingEstimator:
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
         self._grid = grid_nodes(self.image.camera.size).reshape(-1, 2) * self.image.sensor_px
-        self._nodes: Array | None = None
+        self._by_rotation: dict[tuple[int, int], Array] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -292,6 +292,7 @@ class RememberingEstimator:
 
     def _rotational(self, lattice: Lattice) -> Array:
         """Flow (nodes, 2, 3) at a lattice's nodes by an angular velocity, px/rad."""
-        if self._nodes is None or len(self._nodes) != len(lattice.pixels):
-            self._nodes = motion_field(self.image.sensor, lattice.pixels)[1]
-        return self._nodes
+        shape = lattice.columns, lattice.rows
+        if shape not in self._by_rotation:
+            self._by_rotation[shape] = motion_field(self.image.sensor, lattice.pixels)[1]
+        return self._by_rotation[shape]

@@ -49,6 +49,8 @@ class Blend:
         )
         self._contrast = Contrast(self.fine, 1.0)
         self._a, self._b = motion_field(camera, self.fine.pixels)
+        usable = np.isfinite(camera.undistort(self.fine.pixels)[0]).all(axis=-1)
+        self._usable = usable.reshape(self.fine.columns, self.fine.rows)  # the lens has an inverse
         height, width = self._contrast.image.shape
         zoom, reach = LATTICE.sampling, LATTICE.blend_px
         self._by_column, self._by_row = (
@@ -103,7 +105,7 @@ class Blend:
         own = own.reshape(self.fine.shape)
         apart = (rigid - own.mean(axis=2))[:, :, None]
         sharper = np.log(self._around(events, own + apart) / self._around(events, own))
-        share = expit(LATTICE.blend_power * sharper - LATTICE.blend_bias)
+        share = self._usable * expit(LATTICE.blend_power * sharper - LATTICE.blend_bias)
         return (own + share[:, :, None, None] * apart).astype(np.float32)
 
     def _around(self, events: WindowEvents, flow: Array) -> Array:

@@ -141,3 +141,29 @@ def test_the_change_over_the_window_stays():
     flow[:, :, 1] += np.float32(2.0)
     blended = blend(events(2.0), flow, estimate(), depths(2.0))
     assert blended[:, :, 1] - blended[:, :, 0] == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("place", [(40.0, 90.0), (150.0, 20.0), (70.0, 60.0)])
+def test_contrast_is_that_around_a_node(place):
+    blend = Blend(CAMERA, COARSE)
+    x, y = (np.array([value], np.float32) for value in place)
+    event = WindowEvents(x, y, np.full(1, 0.5, np.float32), np.full(1, 1e3, np.float32))
+    around = blend._around(event, np.zeros(blend.fine.shape)).ravel()
+    apart = np.linalg.norm(blend.fine.pixels - place, axis=1)
+    assert around.argmax() == apart.argmin()
+    close = apart < 30
+    expected = np.exp(-(apart**2) / (2 * LATTICE.blend_px**2))
+    share = around[close] / around.max() / (expected[close] / expected.max())
+    assert share == pytest.approx(1, abs=0.08)
+
+
+def test_where_the_lens_has_no_inverse_the_lattice_counts():
+    camera = replace(CAMERA, model="plumb_bob", distortion=(-0.9, 0.0, 0.0, 0.0))
+    blend, flow = Blend(camera, COARSE), lattice_flow().astype(np.float32)
+    unusable = ~np.isfinite(camera.undistort(blend.fine.pixels)[0]).all(axis=-1)
+    blended = blend(events(2.0), flow, estimate(), depths(2.0)).mean(axis=2).reshape(-1, 2)
+    own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
+    apart = np.linalg.norm(blended - own, axis=1)
+    assert unusable.any() and not unusable.all()
+    assert apart[unusable].max() < 1e-4
+    assert apart.max() > 1
