@@ -134,8 +134,9 @@ class RememberingEstimator:
     def _first(self, found: Estimate) -> Estimate:
         """Tell the lattice's motion, less sure of itself; a gyro's angular velocity stays."""
         by_gyro, known = found.gyro.state is GyroState.USED, found.translation_observable
-        wider = np.repeat([known, not by_gyro], 3) * (self._odometry.back.errors.first - 1)
-        return replace(found, covariance=found.covariance * (1 + np.sqrt(np.outer(wider, wider))))
+        wider = np.repeat([known, not by_gyro], 3)
+        factor = np.where(np.outer(wider, wider), self._odometry.back.errors.first, 1.0)
+        return replace(found, covariance=factor * found.covariance)
 
     def _learnt(
         self, experience: Experience, found: Estimate, state: State, motion: MotionAt

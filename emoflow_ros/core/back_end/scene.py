@@ -11,13 +11,13 @@ from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.front_end.slices import GRID_PX, grid_nodes
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import motion_field
+from emoflow_ros.core.lattice.settings import LATTICE
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
-# Depth between patches: Gaussians, of standard deviations in nodes of the grid, and their weights.
-# The wide ones count where no patch is near.
-_SPREADS = ((1.0, 1.0), (3.0, 0.03), (10.0, 0.003))
+# Depth between patches: Gaussians, of standard deviations in nodes of the grid, and their weights
+_SPREADS = tuple((reach / GRID_PX, weight) for reach, weight in LATTICE.depth_reaches)
 _NEAREST = 0.05  # least depth over that of the anchor
 
 
