@@ -14,13 +14,13 @@ from emoflow_ros.core.back_end.consistency import (
 from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.scene import depths_now
 from emoflow_ros.core.back_end.settings import BackEndSettings
-from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt
+from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt, interpolated
 from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.geometry.camera_motion import motion_field
-from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
+from emoflow_ros.core.lattice.bending import Bend
+from emoflow_ros.core.lattice.field import LatticeFlow
 from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import Depths
 from emoflow_ros.core.lattice.uncertainty import without_translation
@@ -30,7 +30,6 @@ from emoflow_ros.core.types.estimate import (
     Estimate,
     Estimator,
     FlowSampler,
-    Motion,
     MotionModel,
     Status,
     velocity_at,
@@ -41,7 +40,6 @@ from emoflow_ros.core.types.gyro import GyroState
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
-_BEND_TIMES = 9  # at which the rotation over a window is read
 _LONGEST_GAP_NS = 300 * NS_PER_MS  # between slices; after a longer one the memory begins anew
 
 
@@ -88,7 +86,7 @@ class RememberingEstimator:
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
         self._grid = grid_nodes(self.image.camera.size).reshape(-1, 2) * self.image.sensor_px
-        self._by_rotation: dict[tuple[int, int], Array] = {}
+        self._bent = Bend(self.image.sensor)
         self.reset()
 
     def reset(self) -> None:
@@ -228,10 +226,9 @@ class RememberingEstimator:
             factor *= back.errors.alone if found.flow is None else 1.0
             angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + spread
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
-        linear = np.zeros(3)
+        linear, variance = np.zeros(3), lost * direction_variance(experience, cost, back.errors)
         if adjusted.translates and speed > 0:
             direction = motion.linear / speed
-            variance = lost * direction_variance(experience, cost, back.errors)
             of_direction = variance * (np.eye(3) - np.outer(direction, direction))
             of_direction += spread_of_direction
             if np.linalg.eigvalsh(of_direction)[-1] < np.radians(back.widest_direction_deg) ** 2:
@@ -255,13 +252,41 @@ class RememberingEstimator:
             covariance=covariance,
             motion=told,
         )
-        settled = (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s
-        refined = estimate
-        if settled:
-            refined = self._refine(estimate, self._depths(state, speed, estimate))
-        if isinstance(refined.flow, LatticeFlow):
-            refined = replace(refined, flow=self._bent(refined.flow, told))
-        return refined
+        flow = estimate.flow
+        if (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s:
+            flow = self._refined(estimate, told, state, variance)
+        if isinstance(flow, LatticeFlow):
+            flow = self._bent(flow, told)
+        return replace(estimate, flow=flow)
+
+    def _refined(
+        self, estimate: Estimate, told: AdjustedMotion, state: State, variance: float
+    ) -> FlowSampler | None:
+        """Fit the flow again along the likeliest way, which the depths belong to.
+
+        It may translate where that is too uncertain to be told: no rotation has depths. Its angular
+        velocity belongs to them, too: that of a gyro has a bias.
+
+        Args:
+            estimate: of the window.
+            told: its motion.
+            state: with its slices.
+            variance: of the direction of translation, rad^2.
+        """
+        assert state.adjusted is not None and state.hypotheses is not None
+        way, model, direction = state.hypotheses.ways[0], MotionModel.ROTATION, np.zeros(3)
+        covariance = without_translation(estimate.covariance)
+        velocity = interpolated(state.t, way, estimate.t)[1]
+        speed = float(np.linalg.norm(velocity))
+        if state.adjusted.translates and speed > 0:
+            model, direction = MotionModel.FULL, velocity / speed
+            covariance[:3, :3] = variance * (np.eye(3) - np.outer(direction, direction))
+        translates = model is MotionModel.FULL
+        motion = replace(told, x=way, translates=translates, by_gyro=None)
+        likeliest = replace(
+            estimate, model=model, linear=direction, covariance=covariance, motion=motion
+        )
+        return self._refine(likeliest, self._depths(state, speed, likeliest)).flow
 
     def _depths(self, state: State, speed: float, estimate: Estimate) -> Depths:
         """Depths of the patches that the newest slice shows, in the middle of the window."""
@@ -273,27 +298,3 @@ class RememberingEstimator:
         if estimate.flow is not None:
             points = estimate.flow.tracks(points, [int(state.t[-1]), estimate.t])[1]
         return Depths(points, speed * depth)
-
-    def _bent(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
-        """Add to a flow how the rotation in the window's middle differs from its mean.
-
-        The lattice's flow changes linearly in time: of hands that tremble it is the mean. What is
-        added in the middle is taken off at both ends, so that the way over the window stays.
-        """
-        times = np.linspace(flow.t_start, flow.t_end, _BEND_TIMES).astype(np.int64)
-        angular = np.array([motion.angular(int(t)) for t in times])
-        mean = (angular[:-1] + angular[1:]).mean(axis=0) / 2
-        bend = angular[_BEND_TIMES // 2] - mean
-        rotation = self._rotational(flow.lattice) @ (bend * (flow.t_end - flow.t_start) / NS_PER_S)
-        bump = rotation.reshape(*flow.values.shape[:2], 2)
-        begin, end = flow.values[:, :, 0], flow.values[:, :, -1]
-        values = np.stack([begin - bump, (begin + end) / 2 + bump, end - bump], axis=2)
-        lattice = replace(flow.lattice, times=3)
-        return replace(flow, lattice=lattice, values=values.astype(np.float32))
-
-    def _rotational(self, lattice: Lattice) -> Array:
-        """Flow (nodes, 2, 3) at a lattice's nodes by an angular velocity, px/rad."""
-        shape = lattice.columns, lattice.rows
-        if shape not in self._by_rotation:
-            self._by_rotation[shape] = motion_field(self.image.sensor, lattice.pixels)[1]
-        return self._by_rotation[shape]

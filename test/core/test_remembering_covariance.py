@@ -1,6 +1,6 @@
 """How sure a remembered motion is told to be, by its patches and by its window."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from test_remembering import Run, run_of
 
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.back_end.trajectory import interpolated
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.lattice.uncertainty import without_translation
@@ -16,6 +17,19 @@ from emoflow_ros.core.types.estimate import Estimate, MotionModel
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 
 W_ONLY, V_ONLY = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Turning:
+    """A constant rotation (a Motion)."""
+
+    w: np.ndarray
+
+    def angular(self, _: int) -> np.ndarray:
+        return self.w
+
+    def linear(self, _: int) -> np.ndarray:
+        return np.zeros(3)
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +135,41 @@ def test_a_first_window_is_less_sure_than_the_lattice(calm: Run, gyro: GyroState
     _, told = reader.step(reader.nothing(), calm.windows[0], unknown)
     assert told.covariance[:3, :3].tolist() == without_translation(covariance)[:3, :3].tolist()
     assert told.covariance[3:, 3:] == pytest.approx(of_w * covariance[3:, 3:])
+
+
+def test_the_flow_goes_by_the_likeliest_way_whose_direction_is_not_told(calm: Run):
+    flows = []
+    for widest in (BackEndSettings().widest_direction_deg, 1e-6):
+        camera = calm.recording.camera
+        lattice = LatticeEstimator(camera, LatticeConfig())
+        back = BackEndSettings(widest_direction_deg=widest)
+        reader = RememberingEstimator(lattice, camera, lattice.refined, back=back)
+        told = [reader.estimate(window) for window in calm.windows[:6]][-1]
+        assert told.translation_observable is (widest > 1)
+        assert told.flow is not None
+        flows.append(told.flow.velocity(told.t))
+    assert flows[1] == pytest.approx(flows[0], abs=0.1)
+
+
+def test_the_flow_goes_by_the_angular_velocity_that_the_depths_belong_to(calm: Run):
+    camera, seen = calm.recording.camera, []
+    lattice = LatticeEstimator(camera, LatticeConfig())
+
+    def refine(likeliest: Estimate, _: object) -> Estimate:
+        assert likeliest.motion is not None
+        seen.append(likeliest.motion.angular(likeliest.t))
+        return likeliest
+
+    reader = RememberingEstimator(lattice, camera, refine)
+    memory = reader.nothing()
+    for window in calm.windows[:6]:
+        found = replace(lattice.estimate(window), gyro=GyroStatus(GyroState.USED))
+        off = calm.true_angular(found.t) + np.radians([2.0, 0.0, 0.0])
+        found = replace(found, angular=off, motion=Turning(off))
+        memory, told = reader.step(memory, window, found)
+    adjusted = memory.odometry.hypotheses
+    assert adjusted is not None
+    w, _, _ = interpolated(memory.odometry.t, adjusted.ways[0], told.t)
+    assert told.angular.tolist() == off.tolist()
+    assert seen[-1] == pytest.approx(w)
+    assert np.degrees(np.linalg.norm(w - off)) > 0.3

@@ -72,19 +72,35 @@ class Blend:
         Args:
             w: (3,) rad per window.
             v: (3,) unit vector.
-            points: (N, 2) px, N > 0, whose depths are known; between them they are means, of near
-                ones first.
+            points: (N, 2) px, N > 0, whose depths are known.
             inverse_depth: (N,) travelled distances per window.
         """
-        above, below = np.zeros((2, self.fine.columns, self.fine.rows))
-        for reach, weight in LATTICE.depth_reaches:
-            x = _near(points[:, 0], self._columns, reach)
-            y = _near(points[:, 1], self._rows, reach)
-            above += weight * ((x * inverse_depth) @ y.T)
-            below += weight * (x @ y.T)
-        rho = (above / np.maximum(below, np.finfo(float).tiny)).reshape(-1, 1)
+        rho = self._between(points, inverse_depth).reshape(-1, 1)
         flow = self._b @ w + rho * (self._a @ v)
         return np.asarray(flow.reshape(self.fine.columns, self.fine.rows, 2))
+
+    def _between(self, points: Array, rho: Array) -> Array:
+        """Inverse depths (columns, rows) by local linear regression, in which near points count.
+
+        So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of
+        a lens without distortion (Cleveland and Devlin, JASA 1988).
+        """
+        middle = points.mean(axis=0)
+        x, y = (points - middle).T
+        known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
+        sums = np.zeros((len(known), self.fine.columns, self.fine.rows))
+        for reach, weight in LATTICE.depth_reaches:
+            by_column = _near(points[:, 0], self._columns, reach)
+            by_row = _near(points[:, 1], self._rows, reach)
+            sums += weight * ((by_column * known[:, None]) @ by_row.T)
+        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(sums[0], np.finfo(float).tiny)
+        own = LATTICE.slope_px**2
+        xx, xy, yy = xx - x * x + own, xy - x * y, yy - y * y + own
+        rx, ry = rx - mean * x, ry - mean * y
+        to_x, to_y = (self._columns - middle[0])[:, None] - x, self._rows - middle[1] - y
+        slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
+        found = mean + slope / (xx * yy - xy * xy)
+        return np.clip(found, rho.min() / LATTICE.beyond, rho.max() * LATTICE.beyond)
 
     def __call__(self, events: WindowEvents, flow: F32, estimate: Estimate, depths: Depths) -> F32:
         """Blend by the contrast around each node, (columns, rows, 2, 2) px per window of `fine`.
@@ -104,8 +120,10 @@ class Blend:
         own = self._lattice.interpolate(nodes, self.fine.pixels)
         own = own.reshape(self.fine.shape)
         apart = (rigid - own.mean(axis=2))[:, :, None]
-        sharper = np.log(self._around(events, own + apart) / self._around(events, own))
-        share = self._usable * expit(LATTICE.blend_power * sharper - LATTICE.blend_bias)
+        here, there = self._around(events, own), self._around(events, own + apart)
+        seen = here / (here + here.mean())  # where there is nothing to compare neither is preferred
+        odds = LATTICE.blend_power * np.log(there / here) - LATTICE.blend_bias * seen
+        share = self._usable * expit(odds)
         return (own + share[:, :, None, None] * apart).astype(np.float32)
 
     def _around(self, events: WindowEvents, flow: Array) -> Array:

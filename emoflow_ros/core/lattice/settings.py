@@ -96,10 +96,14 @@ class LatticeSettings:
         closer: number of nodes of a blended flow for each one of the lattice, along an axis.
         depth_reaches: standard deviations of the distance to patches, px, and how much they count:
             the wide ones where no patch is near.
+        slope_px: standard deviation of near patches' places from which the slope of their depths
+            counts, px.
+        beyond: factor of the known inverse depths that those between them are within.
         blend_px: standard deviation of the distance within which contrasts of two flows are
             compared, px.
         blend_power, blend_bias: the share of the other flow is the logistic function of so many
-            times the logarithm of its contrast over the lattice's, less the bias.
+            times the logarithm of its contrast over the lattice's, less the bias where there is
+            contrast.
     """
 
     longer_side_px: int = 346
@@ -170,6 +174,8 @@ class LatticeSettings:
     own_sd: float = 0.1
     closer: int = 3
     depth_reaches: tuple[tuple[float, float], ...] = ((8.0, 1.0), (24.0, 0.03), (80.0, 0.003))
+    slope_px: float = 14.0
+    beyond: float = 2.0
     blend_px: float = 16.0
     blend_power: float = 8.0
     blend_bias: float = 1.0

@@ -79,6 +79,14 @@ def right_of(blend: Blend) -> np.ndarray:
     return (x > SIZE[0] / 2 + 16) & (x < SIZE[0] - 20) & (y > 20) & (y < SIZE[1] - 20)
 
 
+def share_of_depths(blend: Blend, flow: np.ndarray, blended: np.ndarray) -> np.ndarray:
+    """Share of twice the depth in the right half, of a blend with the lattice's one depth."""
+    nodes, right = blend.fine.pixels, right_of(blend)
+    own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), nodes)
+    other = flow_of(nodes, np.full(len(nodes), 2 * RHO))
+    return (blended.mean(axis=2).reshape(-1, 2) - own)[right, 0] / (other - own)[right, 0]
+
+
 def test_every_third_node_is_one_of_the_lattice():
     blend = Blend(CAMERA, COARSE)
     pixels = blend.fine.pixels.reshape(blend.fine.columns, blend.fine.rows, 2)
@@ -123,17 +131,54 @@ def test_where_the_lattice_is_sharper_depths_are_not_believed():
     assert np.linalg.norm((blended - own)[right], axis=1).mean() < 0.5
 
 
-def test_without_events_the_lattice_counts_more():
+def floor_at(points: np.ndarray) -> np.ndarray:
+    """Inverse depths of a floor."""
+    return RHO * (0.5 + points[:, 1] / SIZE[1])
+
+
+def test_a_floor_goes_on_beyond_the_points():
+    blend, known = Blend(CAMERA, COARSE), depths().points
+    known = known[known[:, 1] < 90]
+    nodes = blend.fine.pixels
+    between, true = blend._between(known, floor_at(known)).ravel(), floor_at(nodes)
+    beyond, among = nodes[:, 1] > 110, nodes[:, 1] < 80
+    as_the_last = np.abs(floor_at(known).max() - true)[beyond].mean()
+    assert np.abs(between - true)[beyond].mean() < 0.6 * as_the_last
+    assert between[among] == pytest.approx(true[among], abs=0.06 * RHO)
+
+
+def test_depths_beyond_the_points_stay_within_twice_of_theirs():
+    blend, rng = Blend(CAMERA, COARSE), np.random.default_rng(0)
+    known = rng.uniform([60, 40], [110, 90], (60, 2))
+    rho = RHO * np.maximum(1 - 0.04 * (known[:, 0] - 85), 0.05)
+    between = blend._between(known, rho)
+    assert between.min() == pytest.approx(rho.min() / 2)
+    assert 1.2 * rho.max() < between.max() <= 2 * rho.max()
+
+
+def test_one_depth_is_that_of_the_whole_scene():
+    blend = Blend(CAMERA, COARSE)
+    between = blend._between(np.array([[20.0, 30.0]]), np.array([RHO]))
+    assert between == pytest.approx(RHO)
+
+
+def test_without_events_neither_is_preferred():
     blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
     nothing = WindowEvents(*np.zeros((4, 1), np.float32))
-    blended = blend(nothing, flow, estimate(), depths(2.0)).mean(axis=2).reshape(-1, 2)
-    nodes = blend.fine.pixels
-    own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), nodes)
-    right = right_of(blend)
-    share = (blended - own)[right, 0] / (flow_of(nodes, np.full(len(nodes), 2 * RHO)) - own)[
-        right, 0
-    ]
-    assert share == pytest.approx(float(expit(-LATTICE.blend_bias)), abs=0.01)
+    share = share_of_depths(blend, flow, blend(nothing, flow, estimate(), depths(2.0)))
+    assert share == pytest.approx(float(expit(-LATTICE.blend_bias / 2)), abs=0.01)
+
+
+def test_where_events_are_equally_sharp_the_lattice_counts_more():
+    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    edges = events()
+    at_once = replace(edges, s=np.full_like(edges.s, 0.5))  # no flow moves them
+    blended = blend(at_once, flow, estimate(), depths(2.0))
+    share = share_of_depths(blend, flow, blended)
+    contrast = blend._around(at_once, np.zeros(blend.fine.shape)).ravel()
+    seen = (contrast / (contrast + contrast.mean()))[right_of(blend)]
+    assert share == pytest.approx(expit(-LATTICE.blend_bias * seen), abs=0.01)
+    assert np.ptp(share) > 0.01
 
 
 def test_the_change_over_the_window_stays():
