@@ -264,8 +264,8 @@ class RememberingEstimator:
     ) -> FlowSampler | None:
         """Fit the flow again along the likeliest way, which the depths belong to.
 
-        It may translate where that is too uncertain to be told: no rotation has depths. Its angular
-        velocity belongs to them, too: that of a gyro has a bias.
+        That way may translate though its direction is too uncertain to be told. Its w, too, is what
+        the depths belong to: a gyro's has a bias. How sure w is, is as it is told.
 
         Args:
             estimate: of the window.

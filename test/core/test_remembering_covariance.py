@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from test_remembering import Run, run_of
 
+from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import interpolated
@@ -16,6 +17,8 @@ from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate, MotionModel
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 
+C, S = np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
+TILT = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
 W_ONLY, V_ONLY = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.0, 0.0])
 
 
@@ -151,25 +154,37 @@ def test_the_flow_goes_by_the_likeliest_way_whose_direction_is_not_told(calm: Ru
     assert flows[1] == pytest.approx(flows[0], abs=0.1)
 
 
-def test_the_flow_goes_by_the_angular_velocity_that_the_depths_belong_to(calm: Run):
-    camera, seen = calm.recording.camera, []
-    lattice = LatticeEstimator(camera, LatticeConfig())
+@pytest.mark.parametrize("gyro", [GyroState.NONE, GyroState.USED])
+def test_the_flow_goes_by_the_way_that_the_depths_belong_to(
+    calm: Run, gyro: GyroState, monkeypatch: pytest.MonkeyPatch
+):
+    camera, off = calm.recording.camera, np.radians([2.0, 0.0, 0.0])
+    lattice, seen = LatticeEstimator(camera, LatticeConfig()), []
 
     def refine(likeliest: Estimate, _: object) -> Estimate:
-        assert likeliest.motion is not None
-        seen.append(likeliest.motion.angular(likeliest.t))
+        seen.append(likeliest)
         return likeliest
 
+    def with_a_rival(self: Hypotheses) -> Unknowns:
+        """Tell another mean: that of a rival which turns and goes otherwise."""
+        way = self.ways[0]
+        return way._replace(angular=way.angular + off, velocity=way.velocity @ TILT)
+
+    monkeypatch.setattr(Hypotheses, "mean", property(with_a_rival))
     reader = RememberingEstimator(lattice, camera, refine)
     memory = reader.nothing()
     for window in calm.windows[:6]:
-        found = replace(lattice.estimate(window), gyro=GyroStatus(GyroState.USED))
-        off = calm.true_angular(found.t) + np.radians([2.0, 0.0, 0.0])
-        found = replace(found, angular=off, motion=Turning(off))
+        found = replace(lattice.estimate(window), gyro=GyroStatus(gyro))
+        turning = calm.true_angular(found.t) + off
+        if gyro is GyroState.USED:
+            found = replace(found, angular=turning, motion=Turning(turning))
         memory, told = reader.step(memory, window, found)
-    adjusted = memory.odometry.hypotheses
-    assert adjusted is not None
-    w, _, _ = interpolated(memory.odometry.t, adjusted.ways[0], told.t)
-    assert told.angular.tolist() == off.tolist()
-    assert seen[-1] == pytest.approx(w)
-    assert np.degrees(np.linalg.norm(w - off)) > 0.3
+    hypotheses, used = memory.odometry.hypotheses, seen[-1]
+    assert hypotheses is not None and used.motion is not None
+    w, v, _ = interpolated(memory.odometry.t, hypotheses.ways[0], told.t)
+    direction = v / np.linalg.norm(v)
+    assert used.motion.angular(told.t) == pytest.approx(w)
+    assert used.linear == pytest.approx(direction)
+    assert used.model is MotionModel.FULL
+    assert told.linear @ direction < np.cos(np.radians(5.0))
+    assert np.degrees(np.linalg.norm(told.angular - w)) > 0.3

@@ -19,8 +19,8 @@ _TIMES = 9  # at which the rotation over a window is read
 class Bend:
     """Adds to a flow how the rotation in the window's middle differs from its mean.
 
-    Of hands that tremble the lattice's flow is the mean. What is added in the middle is taken off
-    at both ends, so that the way over the window stays.
+    The lattice's flow changes linearly in time: of hands that tremble it is the mean. What is added
+    in the middle is taken off at both ends, so that the way over the window stays.
 
     Args:
         camera: of the sensor, on which the flow lies.

@@ -98,7 +98,8 @@ class LatticeSettings:
             the wide ones where no patch is near.
         slope_px: standard deviation of near patches' places from which the slope of their depths
             counts, px.
-        beyond: factor of the known inverse depths that those between them are within.
+        beyond: of inverse depths between points, over the largest known one at most, and under the
+            smallest at most.
         blend_px: standard deviation of the distance within which contrasts of two flows are
             compared, px.
         blend_power, blend_bias: the share of the other flow is the logistic function of so many

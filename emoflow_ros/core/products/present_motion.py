@@ -162,7 +162,7 @@ class PresentMotion:
         t = max(estimate.t, estimate.t_end - PRESENT.mean_ns) if own else estimate.t
         w, v = motion.angular(t), motion.linear(t)
         change = motion.angular(estimate.t_end) - motion.angular(estimate.t_start)
-        fitted = motion.motion if isinstance(motion, HeldMotion) else motion  # that of the flow
+        fitted = motion.motion if isinstance(motion, HeldMotion) else motion  # near the flow's
         known = None
         if estimate.flow is not None:
             known = self._shown(estimate.flow, t, fitted.angular(t), v)

@@ -147,13 +147,15 @@ def test_a_floor_goes_on_beyond_the_points():
     assert between[among] == pytest.approx(true[among], abs=0.06 * RHO)
 
 
-def test_depths_beyond_the_points_stay_within_twice_of_theirs():
+def test_depths_between_points_are_within_a_factor_of_theirs(monkeypatch: pytest.MonkeyPatch):
+    settings = replace(LATTICE, beyond=1.2)
+    monkeypatch.setattr("emoflow_ros.core.lattice.blending.LATTICE", settings)
     blend, rng = Blend(CAMERA, COARSE), np.random.default_rng(0)
-    known = rng.uniform([60, 40], [110, 90], (60, 2))
-    rho = RHO * np.maximum(1 - 0.04 * (known[:, 0] - 85), 0.05)
+    known = rng.uniform([20, 10], [80, 120], (300, 2))
+    rho = RHO * (1 + 0.03 * (known[:, 0] - 50))
     between = blend._between(known, rho)
-    assert between.min() == pytest.approx(rho.min() / 2)
-    assert 1.2 * rho.max() < between.max() <= 2 * rho.max()
+    assert between.min() == pytest.approx(rho.min() / 1.2)
+    assert between.max() == pytest.approx(rho.max() * 1.2)
 
 
 def test_one_depth_is_that_of_the_whole_scene():
@@ -162,7 +164,7 @@ def test_one_depth_is_that_of_the_whole_scene():
     assert between == pytest.approx(RHO)
 
 
-def test_without_events_neither_is_preferred():
+def test_without_events_the_lattice_is_preferred_by_half_the_bias():
     blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
     nothing = WindowEvents(*np.zeros((4, 1), np.float32))
     share = share_of_depths(blend, flow, blend(nothing, flow, estimate(), depths(2.0)))
