@@ -98,8 +98,7 @@ class LatticeSettings:
             the wide ones where no patch is near.
         slope_px: standard deviation of near patches' places from which the slope of their depths
             counts, px.
-        beyond: of inverse depths between points, over the largest known one at most, and under the
-            smallest at most.
+        beyond: factor by which inverse depths between points may lie beyond the known ones.
         blend_px: standard deviation of the distance within which contrasts of two flows are
             compared, px.
         blend_power, blend_bias: the share of the other flow is the logistic function of so many
