@@ -51,13 +51,13 @@ class Hint:
     Attributes:
         flow: (rows, columns, 2) px/s of the tracking image at the slice's time.
         angular, direction: (3,) of its window; the direction is zero where unknown.
-        measured: the window's motion as evidence; None where it was taken before.
+        measured: the window's motion as evidence, part by part; none where it was taken before.
     """
 
     flow: F32
     angular: Array
     direction: Array
-    measured: Measured | None
+    measured: tuple[Measured, ...]
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Odometry:
             t=np.array([events.t]),
             x=first_node(hint.angular, velocity),
             patches=choose(picture, state.patches, self.camera, self.front),
-            measured=() if hint.measured is None else (hint.measured,),
+            measured=hint.measured,
         )
         return state, picture
 
@@ -218,9 +218,7 @@ class Odometry:
             patches = patches.without(node, depths_now(patches, x, self.back.depths, second=True))
             x, times = without_node(x, node), np.delete(times, node)
             hypotheses = hypotheses and hypotheses.without_node(node)
-        measured = tuple(m for m in state.measured if m.t > times[0])
-        if hint.measured is not None:
-            measured = (*measured, hint.measured)
+        measured = tuple(m for m in state.measured if m.t > times[0]) + hint.measured
         return replace(
             state, t=times, x=x, patches=patches, measured=measured, hypotheses=hypotheses
         )

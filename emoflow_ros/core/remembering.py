@@ -22,7 +22,7 @@ from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.bending import Bend
 from emoflow_ros.core.lattice.field import LatticeFlow
 from emoflow_ros.core.lattice.preparation import WorkingImage
-from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.lattice.refinement import Depths, rotation_by_parts
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.types.estimate import (
@@ -163,7 +163,7 @@ class RememberingEstimator:
         motion, back = state.motion(found.t), self._odometry.back
         if motion is None:
             return False
-        apart = self._measured(found).root @ (found.angular - motion.angular)
+        apart = (found.angular - motion.angular) / np.sqrt(self._variance(found))
         kept = state.patches.kept(self._front.patience)
         return float(apart @ apart) > back.refuted**2 and kept < back.refuting_share
 
@@ -175,29 +175,44 @@ class RememberingEstimator:
             grid = self._odometry.scene_flow(state)
         else:
             grid = self._on_grid(found.flow, found.t)
-        measured: Measured | None = self._measured(found)
+        measured = self._measured(found)
         for events in slices(
             window.events, since, window.t_end, grid, self.image.sensor_px, self._front
         ):
             at = int(np.clip(events.t, found.t_start, found.t_end))
             flow = np.zeros_like(grid) if found.flow is None else self._on_grid(found.flow, at)
             yield events, Hint(flow, found.angular, found.linear, measured)
-            measured = None  # a window is evidence once
+            measured = ()  # a window is evidence once
 
     def _on_grid(self, flow: FlowSampler, t: int) -> F32:
         """Flow at a time on the tracking image's grid, (rows, columns, 2) px/s of that image."""
         velocity = velocity_at(flow, self._grid, t) / self.image.sensor_px
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
-    def _measured(self, found: Estimate) -> Measured:
-        """What a window says of w; that no motion is seen in it says that w is small."""
+    def _measured(self, found: Estimate) -> tuple[Measured, ...]:
+        """What a window says of w; that no motion is seen in it says that w is small.
+
+        A gyro tells how it changes, too, part by part; together they count as one.
+        """
+        parts = self._odometry.back.gyro_parts if found.gyro.state is GyroState.USED else 1
+        angular = found.angular[None]
+        if found.motion is not None:
+            angular = rotation_by_parts(found, parts) * (NS_PER_S / (found.t_end - found.t_start))
+        root = np.eye(3) / np.sqrt(len(angular) * self._variance(found))
+        ends = np.linspace(found.t_start, found.t_end, len(angular) + 1).astype(np.int64)
+        return tuple(
+            Measured(int(begin), int(end), w, root, found.linear)
+            for begin, end, w in zip(ends[:-1], ends[1:], angular, strict=True)
+        )
+
+    def _variance(self, found: Estimate) -> float:
+        """Variance of what a window says of w about each axis, (rad/s)^2."""
         back, by_gyro = self._odometry.back, found.gyro.state is GyroState.USED
         spread = np.radians(back.gyro_sd_deg if by_gyro else back.lattice_sd_deg)
         if found.flow is None:
             seconds = (found.t_end - found.t_start) / NS_PER_S
             spread = back.unseen_px / (self.image.camera.fx * seconds)
-        variance = max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + spread**2
-        return Measured(found.t, found.angular, np.eye(3) / np.sqrt(variance), found.linear)
+        return max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + float(spread) ** 2
 
     def _read(
         self,

@@ -21,16 +21,22 @@ class Measured:
     """A motion that one window's flow shows by itself.
 
     Attributes:
-        t: ns.
-        angular: (3,) rad/s.
+        t_start, t_end: the window, ns.
+        angular: (3,) rad/s, mean over the window.
         root: (3, 3) square root of the information on it.
         direction: (3,) of translation, zeros where unknown: a start, no evidence.
     """
 
-    t: int
+    t_start: int
+    t_end: int
     angular: Array
     root: Array
     direction: Array
+
+    @property
+    def t(self) -> int:
+        """Middle of the window, ns."""
+        return (self.t_start + self.t_end) // 2
 
 
 def observations(patches: Patches, settings: BackEndSettings) -> Observations:
@@ -57,16 +63,24 @@ def prior(
 ) -> Prior:
     """Collect what is known of the motion at nodes (K,) ns besides the places of patches."""
     within = [m for m in measured if t[0] <= m.t <= t[-1]]
-    times = np.array([m.t for m in within], np.int64)
-    node = np.clip(np.searchsorted(t, times, "right") - 1, 0, len(t) - 2)
     return Prior(
         np.diff(t) / NS_PER_S,
         walks.angular,
         walks.velocity,
         settings.speed_sd,
-        node,
-        (times - t[node]) / (t[node + 1] - t[node]),
         np.array([m.angular for m in within]).reshape(-1, 3),
+        np.array([_shares(t, m) for m in within]).reshape(-1, len(t)),
         np.array([m.root for m in within]).reshape(-1, 3, 3),
         settings.lattice_outlier,
     )
+
+
+def _shares(t: Times, window: Measured) -> Array:
+    """How much of a window lies between nodes (K,) ns, and after the newest, (K,); in all one.
+
+    What lies before the oldest is taken for like the rest.
+    """
+    begin = np.maximum(t, window.t_start)
+    end = np.minimum(np.append(t[1:], np.iinfo(np.int64).max), window.t_end)
+    within = np.maximum(end - begin, 0).astype(np.float64)
+    return within / within.sum()

@@ -10,7 +10,6 @@ from emoflow_ros.core.back_end.adjustment_kernels import NODE, POSE, Unknowns
 from emoflow_ros.core.numerics.jit import njit
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # Without fastmath: sums are the same in every copy of a function (core.lattice.contrast).
 _compiled = njit(nogil=True)
@@ -24,9 +23,9 @@ class Prior(NamedTuple):
         angular_walk, velocity_walk: random walk's power spectral density of angular velocity,
             rad^2/s^3, and of velocity.
         speed_sd: standard deviation of each component of the velocity.
-        measured_node: (M,) node before which an angular velocity was measured.
-        measured_share: (M,) of the way to the next node.
-        measured: (M, 3) rad/s.
+        measured: (M, 3) rad/s, mean angular velocities over windows.
+        measured_share: (M, K) how much of each window lies between a node and the next one, and
+            last what lies after the newest.
         measured_root: (M, 3, 3) square root of the information.
         measured_outlier: distance in standard deviations from which a measurement counts little.
     """
@@ -35,9 +34,8 @@ class Prior(NamedTuple):
     angular_walk: float
     velocity_walk: float
     speed_sd: float
-    measured_node: Index
-    measured_share: Array
     measured: Array
+    measured_share: Array
     measured_root: Array
     measured_outlier: float
 
@@ -71,15 +69,9 @@ def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> floa
     cost, build = 0.0, len(right) > 0
     rows = np.zeros((2, 4 * 3))  # by rotation (or position) and rate at both nodes
     places = np.empty(12, np.int64)
-    relative, step = np.empty((3, 3)), np.empty(3)
+    relative, turn = _turns(x)
     for k in range(len(prior.seconds)):
         dt = prior.seconds[k]
-        for i in range(3):
-            for j in range(3):
-                relative[i, j] = 0.0
-                for m in range(3):
-                    relative[i, j] += x.rotation[k, m, i] * x.rotation[k + 1, m, j]
-        step[0], step[1], step[2] = rotation_vector(relative)
         for kind in range(2):
             density = prior.angular_walk if kind == 0 else prior.velocity_walk
             m00, m01, m11 = 12 / (density * dt**3), -6 / (density * dt**2), 4 / (density * dt)
@@ -91,10 +83,10 @@ def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> floa
             for axis in range(3):
                 rows[:] = 0.0
                 if kind == 0:
-                    first = step[axis] - dt * x.angular[k, axis]
+                    first = turn[k, axis] - dt * x.angular[k, axis]
                     second = x.angular[k + 1, axis] - x.angular[k, axis]
                     for b in range(3):
-                        rows[0, b] = -relative[b, axis]
+                        rows[0, b] = -relative[k, b, axis]
                 else:
                     first = x.position[k + 1, axis] - x.position[k, axis]
                     first -= dt * x.velocity[k, axis]
@@ -122,20 +114,49 @@ def motion_prior(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> floa
                 u = NODE * k + 9 + a
                 matrix[u, u] += slow
                 right[u] -= slow * x.velocity[k, a]
-    return cost + _measured(x, prior, matrix, right)
+    return cost + _measured(x, prior, relative, turn, matrix, right)
 
 
 @_compiled
-def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> float:
-    """Add measured angular velocities, and return their robust cost."""
-    cost, build = 0.0, len(right) > 0
-    for m in range(len(prior.measured_node)):
-        k, share = prior.measured_node[m], prior.measured_share[m]
-        error, squares = np.empty(3), 0.0
+def _turns(x: Unknowns) -> tuple[Array, Array]:
+    """Rotations from each node to the next one, (K - 1, 3, 3), and their logarithms (K - 1, 3)."""
+    count = len(x.position) - 1
+    relative, turn = np.zeros((count, 3, 3)), np.empty((count, 3))
+    for k in range(count):
+        for i in range(3):
+            for j in range(3):
+                for m in range(3):
+                    relative[k, i, j] += x.rotation[k, m, i] * x.rotation[k + 1, m, j]
+        turn[k, 0], turn[k, 1], turn[k, 2] = rotation_vector(relative[k])
+    return relative, turn
+
+
+@_compiled
+def _measured(
+    x: Unknowns, prior: Prior, relative: Array, turn: Array, matrix: Array, right: Array
+) -> float:
+    """Add measured mean angular velocities, and return their robust cost.
+
+    A window's mean is that of the turns between the nodes within it, and of the newest angular
+    velocity after them. So it holds the way, and the angular velocities at the nodes follow a hand
+    that trembles faster than a window is long.
+    """
+    cost, build, newest = 0.0, len(right) > 0, len(turn)
+    rows = np.empty((newest + 2, 3, 3))  # by each rotation, and by the newest angular velocity
+    for m in range(len(prior.measured)):
+        error, squares = -prior.measured[m], 0.0
+        rows[:] = 0.0
+        for k in range(newest):
+            rate = prior.measured_share[m, k] / prior.seconds[k]
+            for a in range(3):
+                error[a] += rate * turn[k, a]
+                rows[k + 1, a, a] += rate
+                for b in range(3):
+                    rows[k, a, b] -= rate * relative[k, b, a]
+        after = prior.measured_share[m, newest]
         for a in range(3):
-            error[a] = (1 - share) * x.angular[k, a] - prior.measured[m, a]
-            if share > 0:
-                error[a] += share * x.angular[k + 1, a]
+            error[a] += after * x.angular[newest, a]
+            rows[newest + 1, a, a] = after
         residual = prior.measured_root[m] @ error
         for a in range(3):
             squares += residual[a] ** 2
@@ -144,20 +165,16 @@ def _measured(x: Unknowns, prior: Prior, matrix: Array, right: Array) -> float:
         if build:
             weight = 1 / (1 + squares / bound) ** 2
             information = weight * (prior.measured_root[m].T @ prior.measured_root[m])
-            force = information @ error
-            for a in range(3):
-                for i in range(2):
-                    si = share if i else 1 - share
-                    if si == 0:
-                        continue
-                    u = NODE * (k + i) + POSE + a
-                    right[u] -= si * force[a]
-                    for b in range(3):
-                        for j in range(2):
-                            sj = share if j else 1 - share
-                            if sj != 0:
-                                v = NODE * (k + j) + POSE + b
-                                matrix[u, v] += si * sj * information[a, b]
+            for k in range(newest + 2):
+                if not np.any(rows[k]):
+                    continue
+                u = NODE * k if k <= newest else NODE * newest + POSE
+                pull = rows[k].T @ information
+                right[u : u + 3] -= pull @ error
+                for i in range(newest + 2):
+                    if np.any(rows[i]):
+                        v = NODE * i if i <= newest else NODE * newest + POSE
+                        matrix[u : u + 3, v : v + 3] += pull @ rows[i]
     return cost
 
 

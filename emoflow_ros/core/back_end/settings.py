@@ -32,7 +32,7 @@ class ErrorLaw:
         unknown_angle: that counts where a direction is unknown.
     """
 
-    angular: float = 90000.0
+    angular: float = 55000.0
     of_apart: float = 1.0
     of_revised: float = 0.75
     of_cost: float = 0.75
@@ -72,7 +72,6 @@ class BackEndSettings:
         angular_walk_deg, velocity_walk: random walk of angular velocity, deg/s per square root of
             a second, and of velocity, 1/s per square root of a second, before anything is known.
         learning: share of the newest evidence in what is learnt of them.
-        learnt_excess: factor on what is learnt: cameras move by fits and starts.
         angular_walks_deg, velocity_walks: least and largest of them.
         speed_sd: standard deviation of each component of the velocity, 1/s.
         depth_sd: of an inverse depth around the mean one.
@@ -81,6 +80,7 @@ class BackEndSettings:
             is not believed.
         lattice_sd_deg, gyro_sd_deg: added to the covariance of the lattice's angular velocity, and
             of a gyro's, deg/s: successive windows overlap, and share their errors.
+        gyro_parts: of a window that a gyro tells apart: 1, 2, 4 or 8.
         unseen_px: standard deviation of the way of the image in a window in which the lattice sees
             no motion, px.
         lattice_outlier: distance in standard deviations from which it counts little: far out, for
@@ -113,7 +113,6 @@ class BackEndSettings:
     angular_walk_deg: float = 40.0
     velocity_walk: float = 1.5
     learning: float = 0.3
-    learnt_excess: float = 1.4
     angular_walks_deg: tuple[float, float] = (10.0, 400.0)
     velocity_walks: tuple[float, float] = (0.3, 5.0)
     speed_sd: float = 2.0
@@ -122,6 +121,7 @@ class BackEndSettings:
     most_growth: float = 0.5
     lattice_sd_deg: float = 1.5
     gyro_sd_deg: float = 0.6
+    gyro_parts: int = 4
     unseen_px: float = 1.5
     lattice_outlier: float = 20.0
     refuted: float = 9.0

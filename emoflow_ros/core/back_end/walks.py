@@ -71,5 +71,4 @@ def _step(values: Array, covariance: Array, seconds: float) -> float:
 
 def _mixed(before: float, now: float, settings: BackEndSettings) -> float:
     share = settings.learning
-    now = max(settings.learnt_excess * now, 1e-12)
-    return float(np.exp((1 - share) * np.log(before) + share * np.log(now)))
+    return float(np.exp((1 - share) * np.log(before) + share * np.log(max(now, 1e-12))))

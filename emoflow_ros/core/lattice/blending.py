@@ -15,7 +15,7 @@ from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.kernels import MARGIN
-from emoflow_ros.core.lattice.refinement import Depths, rotation_over
+from emoflow_ros.core.lattice.refinement import Depths, rotation_by_parts
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate
@@ -114,7 +114,7 @@ class Blend:
             depths: of at least one point, in the pixels of the working image.
         """
         seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
-        w, rho = rotation_over(estimate).mean(axis=0), seconds * depths.inverse_depth
+        w, rho = rotation_by_parts(estimate, 1)[0], seconds * depths.inverse_depth
         rigid = self.rigid(w, estimate.linear, depths.points, rho)
         nodes = flow.astype(np.float64).reshape(len(self._lattice.pixels), -1)
         own = self._lattice.interpolate(nodes, self.fine.pixels)

@@ -122,6 +122,20 @@ def rotation_over(estimate: Estimate) -> Array:
     return seconds * np.array([estimate.motion.angular(int(t)) for t in times])
 
 
+def rotation_by_parts(estimate: Estimate, parts: int) -> Array:
+    """Mean angular velocities (parts, 3) over equal parts of an estimate's window, rad per window.
+
+    That of the whole is not that of the middle where a hand trembles.
+
+    Args:
+        estimate: with a motion.
+        parts: 1, 2, 4 or 8.
+    """
+    w = rotation_over(estimate)
+    between = (w[:-1] + w[1:]) / 2
+    return np.asarray(between.reshape(parts, -1, 3).mean(axis=1))
+
+
 def _prior(w: Array, estimate: Estimate, seconds: float) -> MotionPrior:
     """What is known of (w, v) in the middle of the window."""
     order = np.r_[3:6, 0:3]

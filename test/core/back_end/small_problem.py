@@ -40,10 +40,9 @@ def problem(noise: float = NOISE, seed: int = 2) -> Observations:
 
 
 def prior(walk: float = 0.5, velocity_walk: float = 1.0) -> Prior:
-    none = np.zeros(0, np.int64)
     return Prior(
         np.diff(T) * 1e-9, walk**2, velocity_walk**2, 2.0,
-        none, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)), 20.0,
+        np.zeros((0, 3)), np.zeros((0, NODES)), np.zeros((0, 3, 3)), 20.0,
     )  # fmt: skip
 
 

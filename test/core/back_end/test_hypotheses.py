@@ -120,7 +120,7 @@ def test_they_go_on_node_by_node():
 
 def test_the_rival_is_tried_again_or_else_the_reversed_way(found: Adjusted):
     rival = way(W, np.array([0.0, 0.3, 0.0]))
-    measured = (Measured(int(T[1]), W, np.eye(3), V),)
+    measured = (Measured(int(T[0]), int(T[2]), W, np.eye(3), V),)
     back = replace(BACK, slices=NODES)  # the memory is full
     for before, expected in (
         (Hypotheses((found.x, rival), np.array([0.6, 0.4])), rival),
