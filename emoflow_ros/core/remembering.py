@@ -195,11 +195,11 @@ class RememberingEstimator:
         A gyro tells how it changes, too, part by part; together they count as one.
         """
         parts = self._odometry.back.gyro_parts if found.gyro.state is GyroState.USED else 1
-        angular = found.angular[None]
+        angular, length = found.angular[None], found.t_end - found.t_start
         if found.motion is not None:
-            angular = rotation_by_parts(found, parts) * (NS_PER_S / (found.t_end - found.t_start))
+            angular = rotation_by_parts(found, parts) * (NS_PER_S / length)
         root = np.eye(3) / np.sqrt(len(angular) * self._variance(found))
-        ends = np.linspace(found.t_start, found.t_end, len(angular) + 1).astype(np.int64)
+        ends = found.t_start + np.arange(len(angular) + 1) * length // len(angular)
         return tuple(
             Measured(int(begin), int(end), w, root, found.linear)
             for begin, end, w in zip(ends[:-1], ends[1:], angular, strict=True)

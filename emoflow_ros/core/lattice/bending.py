@@ -32,11 +32,12 @@ class Bend:
 
     def __call__(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
         """Bend a flow of two times by a motion over its window; it has three times then."""
-        times = np.linspace(flow.t_start, flow.t_end, _TIMES).astype(np.int64)
+        length = flow.t_end - flow.t_start
+        times = flow.t_start + np.arange(_TIMES) * length // (_TIMES - 1)
         angular = np.array([motion.angular(int(t)) for t in times])
         mean = (angular[:-1] + angular[1:]).mean(axis=0) / 2
         bend = angular[_TIMES // 2] - mean
-        rotation = self._rotational(flow.lattice) @ (bend * (flow.t_end - flow.t_start) / NS_PER_S)
+        rotation = self._rotational(flow.lattice) @ (bend * length / NS_PER_S)
         bump = rotation.reshape(*flow.values.shape[:2], 2)
         begin, end = flow.values[:, :, 0], flow.values[:, :, -1]
         values = np.stack([begin - bump, (begin + end) / 2 + bump, end - bump], axis=2)

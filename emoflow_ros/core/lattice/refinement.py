@@ -117,8 +117,9 @@ def rotation_over(estimate: Estimate) -> Array:
     They are in rad per window. The estimate has a motion.
     """
     assert estimate.motion is not None
-    times = np.linspace(estimate.t_start, estimate.t_end, _TIMES).astype(np.int64)
-    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+    length = estimate.t_end - estimate.t_start
+    times = estimate.t_start + np.arange(_TIMES) * length // (_TIMES - 1)
+    seconds = length / NS_PER_S
     return seconds * np.array([estimate.motion.angular(int(t)) for t in times])
 
 
