@@ -264,7 +264,7 @@ def test_a_gyro_draws_the_motion_by_positions_more_than_the_lattice_does(calm: R
     for state in (GyroState.NONE, GyroState.USED):
         angular, said = by_positions(calm, state, off, np.zeros(3))
         apart.append(float(np.degrees(np.linalg.norm(angular - said.angular))))
-    assert apart[1] < apart[0] - 0.2  # places hold the way, whoever tells another
+    assert apart[1] < 0.8 * apart[0]
 
 
 def test_what_trembles_by_the_gyro_alone_is_held_by_the_places(calm: Run):
