@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
-from emoflow_ros.core.types.estimate import Motion
+from emoflow_ros.core.types.estimate import Motion, angular_over
 from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -33,8 +33,7 @@ class Bend:
     def __call__(self, flow: LatticeFlow, motion: Motion) -> LatticeFlow:
         """Bend a flow of two times by a motion over its window; it has three times then."""
         length = flow.t_end - flow.t_start
-        times = flow.t_start + np.arange(_TIMES) * length // (_TIMES - 1)
-        angular = np.array([motion.angular(int(t)) for t in times])
+        angular = angular_over(motion, flow.t_start, flow.t_end, _TIMES)
         mean = (angular[:-1] + angular[1:]).mean(axis=0) / 2
         bend = angular[_TIMES // 2] - mean
         rotation = self._rotational(flow.lattice) @ (bend * length / NS_PER_S)

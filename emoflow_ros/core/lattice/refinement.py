@@ -22,7 +22,7 @@ from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
-from emoflow_ros.core.types.estimate import Estimate
+from emoflow_ros.core.types.estimate import Estimate, angular_over
 from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -117,10 +117,8 @@ def rotation_over(estimate: Estimate) -> Array:
     They are in rad per window. The estimate has a motion.
     """
     assert estimate.motion is not None
-    length = estimate.t_end - estimate.t_start
-    times = estimate.t_start + np.arange(_TIMES) * length // (_TIMES - 1)
-    seconds = length / NS_PER_S
-    return seconds * np.array([estimate.motion.angular(int(t)) for t in times])
+    seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+    return seconds * angular_over(estimate.motion, estimate.t_start, estimate.t_end, _TIMES)
 
 
 def rotation_by_parts(estimate: Estimate, parts: int) -> Array:

@@ -80,6 +80,15 @@ class Motion(Protocol):
         ...
 
 
+def angular_over(motion: Motion, t_start: int, t_end: int, times: int) -> NDArray[np.float64]:
+    """Angular velocities (times, 3) rad/s, evenly from a start to an end (ns).
+
+    Times are whole ns from the start: the origin of the clock changes no bit.
+    """
+    at = t_start + np.arange(times) * (t_end - t_start) // (times - 1)
+    return np.array([motion.angular(int(t)) for t in at])
+
+
 class SpeedBound(Protocol):
     """How fast the image moves at most, by the events of a window (core.products.gauge)."""
 
