@@ -20,7 +20,7 @@ OF_FORM = {
     "gyro/clock": {"_REACH_NS", "Times"},
     "gyro/measurement": set(),
     "lattice/blending": {"_LEAST"},
-    "lattice/belief": {"INFORMATION_EXCESS", "_MEAN", "_SLOPE"},
+    "lattice/known": {"INFORMATION_EXCESS", "_MEAN", "_SLOPE"},
     "lattice/confinement": {"_FEWEST_NODES"},
     "lattice/constraints": {"_STRUCTURE_INLIER_PX"},
     "lattice/egomotion": {"_UNKNOWN", "MOTION_UNKNOWNS", "BY_POINTS"},

@@ -32,7 +32,7 @@ class ErrorLaw:
         unknown_angle: that counts where a direction is unknown.
     """
 
-    angular: float = 55000.0
+    angular: float = 50000.0
     of_apart: float = 1.0
     of_revised: float = 0.75
     of_cost: float = 0.75
@@ -42,7 +42,7 @@ class ErrorLaw:
     alone: float = 2.0
     lost: float = 8.0
     lost_share: float = 0.1
-    direction: float = 0.75
+    direction: float = 0.68
     of_astray: float = 2.4
     of_turned: float = 2.0
     of_cost_direction: float = 2.9

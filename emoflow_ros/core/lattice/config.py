@@ -66,15 +66,14 @@ class LatticeConfig:
     )
     direction_drift: float = option(
         120.0,
-        "random walk of the direction of translation between windows; a smaller value remembers "
-        "more: the direction is steadier and follows a change later",
+        "random walk of the direction of translation between measurements",
         unit="deg per square root of a second",
         minimum=0.1,
         maximum=1e4,
     )
     angular_drift: float = option(
         60.0,
-        "random walk of the angular velocity between windows",
+        "random walk of the angular velocity between measurements",
         unit="deg/s per square root of a second",
         minimum=0.1,
         maximum=1e5,

@@ -130,7 +130,7 @@ def add_structure(
     Args:
         heading: (3,) v in the middle of the window.
         speed: as in `along_lines`.
-        inverse_depth, information: (nodes,) of belief.Structure.
+        inverse_depth, information: (nodes,) of known.Structure.
         share: of that information which counts at each time.
         flow, a, b, w, v, soft, usable: as in `add_constraint`.
         vector, band, border, corner, corner_vector: likewise.

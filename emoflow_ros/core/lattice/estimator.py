@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.geometry.camera_motion import cheirality
 from emoflow_ros.core.gyro.config import GyroConfig
 from emoflow_ros.core.gyro.gyro import Gyro
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
-from emoflow_ros.core.lattice.belief import KnownRotation, MotionPrior
 from emoflow_ros.core.lattice.blending import Blend
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.confinement import is_confined
@@ -21,12 +21,13 @@ from emoflow_ros.core.lattice.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
 from emoflow_ros.core.lattice.fit import FreeFlow, LatticeFit
 from emoflow_ros.core.lattice.flow_starts import best_start, cold_start, fresh_start, is_lost
+from emoflow_ros.core.lattice.known import KnownRotation
 from emoflow_ros.core.lattice.memory import Memory
 from emoflow_ros.core.lattice.motion_windows import MotionChange
 from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.reading import EstimateReader, with_gyro
 from emoflow_ros.core.lattice.refinement import Depths, refined
-from emoflow_ros.core.lattice.selection import ModelSelector
+from emoflow_ros.core.lattice.selection import rotates
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.lattice.window_events import WindowEvents
@@ -65,8 +66,8 @@ class LatticeEstimator:
     def reset(self) -> None:
         """Forget previous windows: the next one starts cold."""
         self._last: Memory | None = None
-        self._reader.forget()
-        self._selector = ModelSelector()
+        fixed = self.config.model
+        self._model = MotionModel.FULL if fixed == "auto" else MotionModel(fixed)
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
@@ -110,7 +111,8 @@ class LatticeEstimator:
                     rotated = last.rotation(window)
                     flows += [fit.rotated(flow, rotated) for flow in flows]
                 fit.flow = best_start(coarse, events, flows)
-                stop = self._fit_warm(events, last.predict(fit, window))
+                last.predict(fit, window)
+                stop = self._fit_warm(events)
                 # After the deadline there is no time for a cold fit, even if the flow is lost.
                 warm = self._late() or not is_lost(
                     coarse, events, fit.flow, fresh_start(coarse, events, self.lattice.shape)
@@ -153,10 +155,12 @@ class LatticeEstimator:
         found = self._epipolar.search(*free.evidence, sized=free.known is None)
         best = int(found.cost.argmin())
         fit.motion = Motion.constant(found.w[best], found.v[best])
-        self._select(free, found.v[best], found.w[best])
-        return self._refine(events, self.config.cold_iterations, None, hurry=False)
+        if self._model is MotionModel.ROTATION:
+            fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
+        self._reconsider(free)
+        return self._refine(events, self.config.cold_iterations, hurry=False)
 
-    def _fit_warm(self, events: WindowEvents, prior: MotionPrior | None) -> str:
+    def _fit_warm(self, events: WindowEvents) -> str:
         """Correct a prediction of flow and motion from coarse to fine."""
         fit = self._fit
         fit.step_px = np.inf
@@ -166,13 +170,11 @@ class LatticeEstimator:
                 if self._late():
                     break
                 fit.linearise(few, scale)
-                self._step(prior)
-        return self._refine(events, self.config.warm_iterations, prior, hurry=True)
+                self._step()
+        return self._refine(events, self.config.warm_iterations, hurry=True)
 
-    def _refine(
-        self, events: WindowEvents, steps: int, prior: MotionPrior | None, *, hurry: bool
-    ) -> str:
-        """Step at full resolution; before the last step check motion model and direction."""
+    def _refine(self, events: WindowEvents, steps: int, *, hurry: bool) -> str:
+        """Step at full resolution; before the last step look for another motion."""
         fit = self._fit
         stop = "iterations"
         for k in range(steps):
@@ -180,79 +182,71 @@ class LatticeEstimator:
             if not last and hurry and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
-            if last and self._reconsider(fit.free_flow(), prior):
+            if last and self._reconsider(fit.free_flow()):
                 fit.structure = None
                 for _ in range(LATTICE.steps_after_change):
                     fit.linearise(events, 1.0)
-                    self._step(None)
+                    self._step()
                     if hurry and self._late():
                         stop = "deadline"
                         break
                 break
-            self._step(prior)
+            self._step()
             if last:
                 break
         return "converged" if fit.step_px < LATTICE.converged_px else stop
 
-    def _step(self, prior: MotionPrior | None) -> None:
-        if self._selector.model is MotionModel.ROTATION:
+    def _step(self) -> None:
+        if self._model is MotionModel.ROTATION:
             self._fit.step_rotation()
         else:
-            self._fit.step_coupled(prior)
+            self._fit.step_coupled()
         self._iterations += 1
 
     def _late(self) -> bool:
         deadline = self.config.deadline_ms
         return deadline > 0 and (time.perf_counter() - self._started) * 1e3 > deadline
 
-    def _reconsider(self, free: FreeFlow, prior: MotionPrior | None) -> bool:
-        """Check the free flow for another motion; return whether the fit must go on with it.
-
-        What earlier windows say of the direction counts against another one.
-        """
-        fit = self._fit
+    def _reconsider(self, free: FreeFlow) -> bool:
+        """Weigh the motions that explain a flow; return whether the fit must go on with another."""
+        fit, epipolar = self._fit, self._epipolar
         assert fit.motion is not None
-        self._free, epipolar = free, self._epipolar
         middle, present = fit.motion.at(0.5)
         sized = free.known is None
         here = epipolar.score(present, *free.evidence, sized=sized)
         others = epipolar.search(*free.evidence, sized=sized)
         rotation = epipolar.rotation(*free.evidence, sized=sized)
-        if prior is not None:
-            # Trust earlier windows less if the motion puts part of the scene behind the camera.
-            trust = max(0.0, 1 - (1 - abs(self._selector.agreement)) / LATTICE.doubt)
-            others = replace(others, size=others.size + trust * prior.surprise(others.v))
         softness = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
-        best = int(others.cost.argmin())
-        rotates = self._selector.model is MotionModel.ROTATION  # v is then only a guess
-        margin = 0.0 if rotates else LATTICE.switch * here.residual[0]
+        before, best = self._model, int(others.cost.argmin())
+        guessed = before is MotionModel.ROTATION  # v, that is
+        margin = 0.0 if guessed else LATTICE.switch * here.residual[0]
         switch = bool(others.cost[best] < here.cost[0] - margin)
         if switch:
             here = others.at(best)
             present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
+        if switch or guessed:
             middle = here.w[0]
-        w = here.w[0]
-        self._reader.possible = PossibleMotions.weigh(
-            (middle, present), here, others, rotation, softness
-        )
-        if switch and not rotates:
-            fit.motion = Motion.constant(w, present)
-            self._selector = ModelSelector()
-        after = self._select(free, present, w)
-        if rotates and after is not MotionModel.ROTATION:
-            fit.motion = Motion.constant(w, present)
-        return (after is MotionModel.ROTATION) is not rotates or (switch and not rotates)
+        self._free = free
+        self._possible = PossibleMotions.weigh((middle, present), here, others, rotation, softness)
+        self._face(free, here.w[0], present)
+        if self.config.model == "auto":
+            rotating = rotates(epipolar, free, rotation, here)
+            self._model = MotionModel.ROTATION if rotating else MotionModel.FULL
+        changed = self._model is not before
+        if changed or (switch and not guessed):
+            fit.motion = Motion.constant(middle, present)
+        if changed and not guessed:
+            fit.start_rotation(rotation.w[0])
+        return changed or (switch and not guessed)
 
-    def _select(self, free: FreeFlow, v: Array, w: Array) -> MotionModel:
-        before = self._selector.model
-        after = self._selector.update(self._epipolar, free, w, v)
-        if self.config.model != "auto":
-            after = self._selector.model = MotionModel(self.config.model)
-        agreement = self._selector.agreement
-        self._fit.front = float(np.sign(agreement)) if abs(agreement) > LATTICE.on_one_side else 0.0
-        if after is MotionModel.ROTATION and before is not after:
-            self._fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
-        return after
+    def _face(self, free: FreeFlow, w: Array, v: Array) -> None:
+        """Tell on which side of the camera the scene lies, and let the fit rely on it if it may."""
+        epipolar = self._epipolar
+        evidence = epipolar.usable * np.trace(free.information, axis1=1, axis2=2)
+        flow = np.einsum("nij,nj->ni", epipolar.to_bearing, free.flow)
+        self._agreement = cheirality(epipolar.bearings, flow, v, w, evidence)
+        sure = abs(self._agreement) > LATTICE.on_one_side
+        self._fit.front = float(np.sign(self._agreement)) if sure else 0.0
 
     def _gain(self, events: WindowEvents) -> float:
         return contrast_gain(self._fit.contrasts[1.0], events, self._fit.flow)
@@ -269,13 +263,15 @@ class LatticeEstimator:
 
     def _result(self, window: Window, quality: Quality) -> Estimate:
         """Remember the window that was fitted, and report it."""
-        fit, model = self._fit, self._selector.model
-        belief = self._reader.believe(window, self._free, model)
-        self._last = Memory.of(window, fit, None if model is MotionModel.ROTATION else belief)
+        fit = self._fit
+        self._last = Memory.of(window, fit, scene=self._model is not MotionModel.ROTATION)
         if window.gyro is not None:
-            w, covariance = self._reader.rotation_of_events(self._free, model)
+            w, covariance = self._reader.rotation_of_events(self._free)
             self._gyro.learn(w / window.duration, covariance / window.duration**2)
-        return self._reader.read(window, belief, self._selector, quality, self._gyro.status)
+        return self._reader.read(
+            window, self._free, self._model, self._possible, self._agreement, quality,
+            self._gyro.status,
+        )  # fmt: skip
 
     def _quality(self, used: int, stop: str, gain: float, **further: Any) -> Quality:
         return Quality(used, self._iterations, stop, gain, **further)

@@ -7,12 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, basis
-from emoflow_ros.core.lattice.belief import (
-    INFORMATION_EXCESS,
-    KnownRotation,
-    MotionPrior,
-    Structure,
-)
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.constraints import add_constraint, add_structure
 from emoflow_ros.core.lattice.contrast import Contrast
@@ -25,6 +19,12 @@ from emoflow_ros.core.lattice.egomotion import (
     Rotation,
 )
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.known import (
+    INFORMATION_EXCESS,
+    KnownRotation,
+    MotionPrior,
+    Structure,
+)
 from emoflow_ros.core.lattice.normal_equations import NormalEquations
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import trusted
@@ -176,8 +176,12 @@ class LatticeFit:
         self.motion = motion.moved(change)
         self._move(step)
 
-    def step_coupled(self, prior: MotionPrior | None) -> None:
-        """Step flow and egomotion together, tied by the epipolar constraint."""
+    def step_coupled(self, prior: MotionPrior | None = None) -> None:
+        """Step flow and egomotion together, tied by the epipolar constraint.
+
+        Args:
+            prior: what is known of the motion in the middle of the window.
+        """
         motion, epipolar = self._require_motion(), self.epipolar
         at = epipolar.kernel_arguments(self.node_flow, motion)
         add_constraint(
@@ -218,7 +222,7 @@ class LatticeFit:
     def _add_motion_priors(
         self, motion: Motion, prior: MotionPrior | None, corner: Array, corner_vector: Array
     ) -> None:
-        """Add the spline's smoothness, v's scale and the belief of earlier windows.
+        """Add the spline's smoothness, v's scale and what else is known.
 
         They are added to the second derivatives (25, 25) by the motion's unknowns and to the
         negative gradient (25,).

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.geometry.camera_motion import basis
-from emoflow_ros.core.lattice.belief import Belief, MotionPrior, Structure
 from emoflow_ros.core.lattice.egomotion import Motion
 from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.lattice.known import Structure
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.types.events import NS_PER_S, Window
 
@@ -24,34 +23,32 @@ class Memory:
         t_start, t_end: the window, ns.
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion.
-        belief, structure: what is known of motion and scene, or None.
+        structure: what is known of the scene, or None.
     """
 
     t_start: int
     t_end: int
     flow: NDArray[np.float32]
     motion: Motion
-    belief: Belief | None
     structure: Structure | None
 
     @classmethod
-    def of(cls, window: Window, fit: LatticeFit, belief: Belief | None) -> "Memory":
-        """Take it from a fit; without a belief, as of a rotation, the scene is not known either.
+    def of(cls, window: Window, fit: LatticeFit, *, scene: bool) -> "Memory":
+        """Take it from a fit of a window, with a motion.
 
         Args:
             window: its interval.
-            fit: of the window, with a motion.
-            belief: in the motion.
+            fit: of the window.
+            scene: whether it shows depths: a rotation does not.
         """
-        motion = fit.motion
+        motion, structure = fit.motion, None
         assert motion is not None
-        structure = None
-        if belief is not None:
+        if scene:
             flow = fit.node_flow.mean(axis=1)
             structure = Structure.observe(
                 fit.epipolar, flow, motion.at(0.5), fit.evidence, fit.structure
             )
-        return cls(window.t_start, window.t_end, fit.flow, motion, belief, structure)
+        return cls(window.t_start, window.t_end, fit.flow, motion, structure)
 
     def reaches(self, window: Window) -> bool:
         """Tell whether a window comes soon enough after this one to start from it."""
@@ -73,35 +70,22 @@ class Memory:
         ratio, _ = self._scale(window)
         return self.motion.at(0.5)[0] * ratio
 
-    def predict(self, fit: LatticeFit, window: Window) -> MotionPrior | None:
-        """Set motion and structure of a fit to what a later window is expected to show.
-
-        Returns:
-            What is known of the motion in the middle of that window, if anything.
-        """
+    def predict(self, fit: LatticeFit, window: Window) -> None:
+        """Set motion and structure of a fit to what a later window is expected to show."""
         ratio, ahead = self._scale(window)
         mean = self.flow.mean(axis=2, keepdims=True)
         w, v = self.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v, speed=ratio)
         if fit.known is not None:
             fit.motion = replace(fit.motion, w=fit.known.control_points())
-        config = fit.config
         fit.structure = self.structure and self.structure.predict(
             fit.lattice,
             fit.epipolar,
             mean.reshape(-1, 2).astype(np.float64),
             ahead,
             v,
-            config.depth_drift,
+            fit.config.depth_drift,
         )
-        if self.belief is None:
-            return None
-        # Within this window the spline tells how w changes; before and after it w is held.
-        middle = float(np.clip(0.5 + ahead, 0.0, 1.0))
-        change = (basis(middle) - basis(0.5)) @ self.motion.w
-        seconds = (self.t_end - self.t_start) / NS_PER_S
-        belief = replace(self.belief, w=self.belief.w + change / seconds)
-        return MotionPrior.carried(belief, window, config.angular_drift, config.direction_drift)
 
     def _scale(self, window: Window) -> tuple[float, float]:
         """Length of a later window and way to its middle, both in lengths of this one."""

@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.geometry.camera_motion import SplineMotion, basis
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
-from emoflow_ros.core.lattice.belief import Belief
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.lattice.field import LatticeFlow
 from emoflow_ros.core.lattice.fit import FreeFlow, LatticeFit
 from emoflow_ros.core.lattice.preparation import WorkingImage
-from emoflow_ros.core.lattice.selection import ModelSelector
 from emoflow_ros.core.lattice.uncertainty import PossibleMotions, without_translation
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.types.events import Window
@@ -30,9 +28,6 @@ class EstimateReader:
         epipolar: the lattice's constraint.
         fit: of the windows.
         config: of the estimator.
-
-    Attributes:
-        possible: motions that may explain the flow of the present window.
     """
 
     def __init__(
@@ -42,111 +37,94 @@ class EstimateReader:
         self._epipolar = epipolar
         self._fit = fit
         self._config = config
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget the windows so far."""
-        self.possible = PossibleMotions()
-
-    def believe(self, window: Window, free: FreeFlow, model: MotionModel) -> Belief:
-        """Tell the motion in the middle of a window that has been fitted, and its covariance.
-
-        Args:
-            window: its interval.
-            free: the flow as the events alone see it.
-            model: of the motion.
-        """
-        fit = self._fit
-        assert fit.motion is not None
-        w, v = fit.motion.at(0.5)
-        possible = self.possible
-        if model is not MotionModel.ROTATION:
-            v = v + possible.mean[3:]
-            v = v / np.linalg.norm(v)
-        if model is MotionModel.FULL:
-            w = w + possible.mean[:3]
-        flow = fit.node_flow.mean(axis=1)
-        evidence = self._epipolar.usable * np.trace(fit.evidence, axis1=1, axis2=2)
-        squares = ((flow - self._epipolar.b @ w) ** 2).sum(axis=-1)
-        parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
-        known = None if free.known is None else free.known[1]
-        covariance = possible.covariance(
-            parallax, self._epipolar.px_per_rad, known, sized=known is None
-        )
-        unit = np.repeat([window.duration, 1.0], 3)
-        if fit.known is not None:
-            w = w + fit.known.bend
-        middle = (window.t_start + window.t_end) // 2
-        return Belief.of(middle, w / window.duration, v, covariance / np.outer(unit, unit))
 
     def read(
-        self, window: Window, belief: Belief, selector: ModelSelector, quality: Quality,
-        gyro: GyroStatus,
+        self, window: Window, free: FreeFlow, model: MotionModel, possible: PossibleMotions,
+        agreement: float, quality: Quality, gyro: GyroStatus,
     ) -> Estimate:  # fmt: skip
         """Report a window that has been fitted.
 
         Args:
             window: its interval.
-            belief: in (w, v) in its middle.
-            selector: which model the evidence speaks for.
+            free: the flow as the events alone see it.
+            model: of the motion that was fitted.
+            possible: motions that may explain the flow.
+            agreement: of the scene with the sign of v, as `cheirality` tells it.
             quality: all but what is read off the fit here.
             gyro: whether a gyro took part.
         """
         fit = self._fit
         assert fit.motion is not None
-        model = selector.model
+        middle, present = fit.motion.at(0.5)
+        w, v = _mean(middle, present, possible, model)
+        covariance = self._covariance(window, free, possible, w, v)
+        if self._config.model == "auto" and not possible.agree:
+            model = MotionModel.ROTATION
         translates = model is not MotionModel.ROTATION
-        front = np.copysign(1.0, selector.agreement) if translates else 0.0
-        if self._config.model == "auto" and not self.possible.agree:
-            model, front = MotionModel.ROTATION, 0.0
-        covariance = belief.facing(front or 1.0).across()
-        if model is MotionModel.ROTATION:
-            covariance = without_translation(covariance)
-        w, v = fit.motion.at(0.5)
+        front = float(np.copysign(1.0, agreement)) if translates else 0.0
+        if fit.known is not None:
+            w = w + fit.known.bend
+        covariance[:3, 3:] *= front
+        covariance[3:, :3] *= front
         length = float(np.linalg.norm(basis(0.5) @ fit.motion.v))
-        lattice, field = self._image.on_sensor(fit.lattice, fit.flow)
         motion = SplineMotion(
             window.t_start,
             window.t_end,
-            fit.motion.w / window.duration + (belief.w - w / window.duration),
-            front * (fit.motion.v + length * (belief.v - v)),
+            (fit.motion.w + (w - middle)) / window.duration,
+            front * (fit.motion.v + length * (v - present)),
         )
         return Estimate(
             window.t_start,
             window.t_end,
-            belief.t,
+            (window.t_start + window.t_end) // 2,
             Status.OK,
             self._judge(quality, fit.motion),
             model,
-            front * belief.v,
-            belief.w,
-            covariance,
-            LatticeFlow(lattice, field, window.t_start, window.t_end),
+            front * v,
+            w / window.duration,
+            covariance if translates else without_translation(covariance),
+            LatticeFlow(
+                *self._image.on_sensor(fit.lattice, fit.flow), window.t_start, window.t_end
+            ),
             motion,
             gyro,
         )
 
-    def rotation_of_events(self, free: FreeFlow, model: MotionModel) -> tuple[Array, Array]:
+    def _covariance(
+        self, window: Window, free: FreeFlow, possible: PossibleMotions, w: Array, v: Array
+    ) -> Array:
+        """Covariance (6, 6) of (v, w), rad/s, with v across its direction."""
+        epipolar = self._epipolar
+        flow = self._fit.node_flow.mean(axis=1)
+        evidence = epipolar.usable * np.trace(self._fit.evidence, axis1=1, axis2=2)
+        squares = ((flow - epipolar.b @ w) ** 2).sum(axis=-1)
+        parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
+        known = None if free.known is None else free.known[1]
+        covariance = possible.covariance(parallax, epipolar.px_per_rad, known, sized=known is None)
+        across = np.zeros((6, 6))
+        across[:3, 3:] = np.eye(3) - np.outer(v, v)
+        across[3:, :3] = np.eye(3) / window.duration
+        covariance = across @ covariance @ across.T
+        return np.asarray(0.5 * (covariance + covariance.T))
+
+    def rotation_of_events(self, free: FreeFlow) -> tuple[Array, Array]:
         """Tell the angular velocity without the gyro, for the gyro to learn from.
 
         Args:
             free: the flow as the events alone see it.
-            model: of the motion.
 
         Returns:
             w (3,) in the middle of the window and its covariance (3, 3), rad per window.
         """
         fit, epipolar = self._fit, self._epipolar
         assert fit.motion is not None
-        possible = PossibleMotions()
+        v = fit.motion.at(0.5)[1]
+        here = epipolar.score(v, *free.seen, sized=False)
+        others = epipolar.search(*free.seen, sized=False)
         rotation = epipolar.rotation(*free.seen, sized=False)
-        w = rotation.w[0]
-        if model is not MotionModel.ROTATION:
-            v = fit.motion.at(0.5)[1]
-            here = epipolar.score(v, *free.seen, sized=False)
-            others = epipolar.search(*free.seen, sized=False)
-            w = here.w[0]
-            possible = PossibleMotions.weigh((w, v), here, others, rotation)
+        w, possible = here.w[0], PossibleMotions.weigh((here.w[0], v), here, others, rotation)
+        if self._config.model == MotionModel.ROTATION:
+            w, possible = rotation.w[0], PossibleMotions(np.zeros(6), np.zeros((6, 6)))
         covariance = possible.covariance(1.0, epipolar.px_per_rad, sized=False)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend
         return w + possible.mean[:3] + bend, covariance
@@ -161,6 +139,15 @@ class EstimateReader:
             residual_px=scale * float(self._image.sensor_px.max()),
             inlier_fraction=inliers,
         )
+
+
+def _mean(w: Array, v: Array, possible: PossibleMotions, model: MotionModel) -> tuple[Array, Array]:
+    """Mean over the possible motions, (w, v), from the present one; what the model fixes stays."""
+    if model is MotionModel.FULL:
+        w = w + possible.mean[:3]
+    if model is not MotionModel.ROTATION:
+        v = v + possible.mean[3:]
+    return w, v / np.linalg.norm(v)
 
 
 def with_gyro(

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS
-from emoflow_ros.core.lattice.belief import (
+from emoflow_ros.core.lattice.egomotion import Motion
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.fit import LatticeFit
+from emoflow_ros.core.lattice.known import (
     INFORMATION_EXCESS,
     KnownRotation,
     MotionPrior,
     Structure,
 )
-from emoflow_ros.core.lattice.egomotion import Motion
-from emoflow_ros.core.lattice.field import Lattice
-from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate, angular_over

@@ -34,9 +34,7 @@ class LatticeSettings:
         coarse_events: number of events that are enough at reduced resolution.
         converged_px: step of the flow below which a fit has converged, px.
         steps_after_change: further steps where motion model or direction have changed.
-        doubt: 1 - |agreement| on the sign of v from which earlier windows no longer count: a tenth
-            of the flow on the wrong side.
-        on_one_side: agreement from which the fit relies on the sign.
+        on_one_side: agreement on the sign of v from which the fit relies on it.
         switch: share of the present residual cost by which another direction must be cheaper.
         rotation_stiffness: times dec_weight: a rotation leaves the flow no freedom of its own.
         straight_px: flow of rotation that a camera which does not rotate may have, px per window.
@@ -56,16 +54,10 @@ class LatticeSettings:
         reweightings: number of solutions for each direction; twice as many for a rotation alone.
         independent_depths: number per node: it says how much likelier a motion of less flow is.
         rotation_power: power of |w| that the probability of a rotation falls with.
-        forgetting: weight of the past against the present window in the choice of the motion model.
-        rotation_px, rotation_share: flow that a pure rotation may leave at half of the nodes, px
-            and over the flow: no more than the flow's own error.
+        rotation_share: of the flow, that a pure rotation may leave at half of the nodes.
         freedom: factor by which a depth for each node lowers the cost of such a flow anyway.
-        nothing_px, nothing_share: the same, so little that there is nothing to explain.
-        hysteresis, inertia: after a rotation these bounds, and that on the cost, are times the
-            former; after another motion over the latter: it passes through moments that look like
-            rotation.
         lasting_px2: variance of a node's flow that more events do not reduce, px^2 per window^2: of
-            depth edges and of the lattice between its nodes.
+            depth edges and of the lattice between its nodes. A rotation may leave no more, either.
         usual_misfit: least residual cost over what lasting_px2 explains, median over windows.
         least_misfit, most_misfit: bounds of a window's misfit over the usual one.
         of_w_px, of_v_px: error of the flow that the residuals do not show, as it comes into w and
@@ -122,7 +114,6 @@ class LatticeSettings:
     coarse_events: int = 10_000
     converged_px: float = 0.01
     steps_after_change: int = 3
-    doubt: float = 0.2
     on_one_side: float = 0.5
     switch: float = 0.2
     rotation_stiffness: float = 10.0
@@ -139,14 +130,8 @@ class LatticeSettings:
     reweightings: int = 4
     independent_depths: float = 0.02
     rotation_power: float = 1.0
-    forgetting: float = 0.6
-    rotation_px: float = 0.8
     rotation_share: float = 0.06
     freedom: float = 4.5
-    nothing_px: float = 0.15
-    nothing_share: float = 0.015
-    hysteresis: float = 1.25
-    inertia: float = 1.5
     lasting_px2: float = 0.4
     usual_misfit: float = 0.13
     least_misfit: float = 0.2

@@ -11,7 +11,7 @@ The second part is the error of the flow that the residuals do not show, the thi
 that no flow takes away. The weights of the parts are measured values.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ class Explanations:
         v: (M, 3) unit directions; zero for a camera that only rotates.
         w: (M, 3) rad per window.
         residual: (M,) cost of what the motion leaves of the flow, and of other knowledge of w.
-        size: (M,) cost of how much flow it takes, and of what was known before.
+        size: (M,) cost of how much flow it takes.
     """
 
     v: Array
@@ -96,8 +96,8 @@ class PossibleMotions:
         spread: (6, 6) their covariance.
     """
 
-    mean: Array = field(default_factory=lambda: np.zeros(6))
-    spread: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    mean: Array
+    spread: Array
 
     @classmethod
     def weigh(

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.lattice.belief import INFORMATION_EXCESS, Belief
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.known import INFORMATION_EXCESS
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate
 
@@ -116,7 +116,8 @@ def motion_covariance(estimate: Estimate, v: Array) -> Array:
         turn = np.eye(6)
         turn[3:, 3:] = _least_turn(estimate.linear, v)
         covariance = turn @ covariance @ turn.T
-        return Belief.of(estimate.t, estimate.angular, v, covariance).covariance
+        covariance[3:, 3:] += np.outer(v, v)
+        return 0.5 * (covariance + covariance.T)
     covariance[3:, :3], covariance[:, 3:] = 0.0, 0.0
     return covariance
 

@@ -1,21 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from emoflow_ros.config import load_config
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.lattice.egomotion import NodeEpipolar
+from emoflow_ros.core.lattice.egomotion import Motion, NodeEpipolar
+from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.fit import FreeFlow
-from emoflow_ros.core.lattice.selection import ModelSelector
-from emoflow_ros.core.types.estimate import MotionModel
+from emoflow_ros.core.lattice.selection import rotates
 
 LATTICE = Lattice.with_spacing(346, 260, 26.0)
 NODES = LATTICE.columns * LATTICE.rows
-CERTAIN = np.tile(np.eye(2), (NODES, 1, 1))
-EPIPOLAR = NodeEpipolar(
-    Camera(346, 260, 226.4, 226.2, 173.6, 133.7, "plumb_bob", (-0.34, 0.14, 0.0, 0.0)),
-    LATTICE,
-    0.7,
-)
+CERTAIN = np.tile(100 * np.eye(2), (NODES, 1, 1))  # to 0.1 px
+CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7, "plumb_bob", (-0.34, 0.14, 0.0, 0.0))
+EPIPOLAR = NodeEpipolar(CAMERA, LATTICE, 0.7)
 V = np.array([0.6, 0.0, 0.8])
 W = np.array([0.01, -0.02, 0.03])
 DEPTH = np.exp(np.random.default_rng(1).uniform(np.log(20), np.log(80), NODES))  # windows
@@ -27,19 +27,18 @@ def field(v, w, noise_px=0.1, seed=2) -> FreeFlow:
     return FreeFlow(exact + noise, CERTAIN)
 
 
-def rotation(w=W, seed=2) -> FreeFlow:
-    return field(np.zeros(3), w, seed=seed)
+def judged(free: FreeFlow, v=V) -> bool:
+    rotation, full = EPIPOLAR.rotation(*free.evidence), EPIPOLAR.score(v, *free.evidence)
+    return rotates(EPIPOLAR, free, rotation, full)
 
 
 def test_rotations_are_rotations():
-    """All that move half of the image by 2 px and more, in noise of 0.1 px."""
+    """All that move half of the image by 3 px and more, in noise of 0.1 px."""
     rng = np.random.default_rng(3)
     for seed in range(100):
         w, v = rng.normal(size=(2, 3))
-        w *= rng.uniform(2, 20) / np.median(np.linalg.norm(EPIPOLAR.b @ w, axis=1))
-        selector = ModelSelector()
-        chosen = selector.update(EPIPOLAR, rotation(w, seed), w, v / np.linalg.norm(v))
-        assert chosen is selector.model is MotionModel.ROTATION
+        w *= rng.uniform(3, 20) / np.median(np.linalg.norm(EPIPOLAR.b @ w, axis=1))
+        assert judged(field(np.zeros(3), w, seed=seed), v / np.linalg.norm(v))
 
 
 def test_translations_are_not():
@@ -47,41 +46,29 @@ def test_translations_are_not():
     for seed in range(100):
         w, v = rng.normal(scale=0.02, size=3), rng.normal(size=3)
         v /= np.linalg.norm(v)
-        selector = ModelSelector()
-        assert selector.update(EPIPOLAR, field(v, w, seed=seed), w, v) is MotionModel.FULL
-        assert selector.agreement > 0.8
+        assert not judged(field(v, w, seed=seed), v)
 
 
-def test_agreement_is_plus_one_before_and_minus_one_behind_the_camera():
-    free = field(V, W, noise_px=0.0)
-    for sign in (1, -1):
-        selector = ModelSelector()
-        selector.update(EPIPOLAR, free, W, sign * V)
-        assert selector.agreement == pytest.approx(sign)
-
-
-def test_one_contradiction_does_not_turn_the_direction_but_several_do():
-    selector = ModelSelector()
-    agreements = []
-    for v in (V, V, -V, -V, -V, -V):  # of the scene; the fit keeps saying V
-        selector.update(EPIPOLAR, field(v, W), W, V)
-        agreements.append(selector.agreement)
-    assert agreements[0] > 0.9
-    assert 0 < agreements[2] < agreements[0]
-    assert agreements[-1] < 0
-
-
-def test_residual_of_a_rotation_is_what_it_leaves_at_half_of_the_nodes():
-    """0.5 px to either side at 60 % of the nodes, which no rotation explains."""
-    free = rotation()
+@pytest.mark.parametrize(
+    ("flow_px", "left_px", "rotation"),
+    [(5, 0.05, True), (5, 0.5, False), (30, 0.3, True), (30, 0.8, False)],
+)
+def test_what_a_rotation_leaves_at_half_of_the_nodes_counts(flow_px, left_px, rotation):
+    """To either side at 60 % of the nodes: a share of the flow, and 0.6 px at most."""
     exact = EPIPOLAR.b @ W
-    left = np.random.default_rng(5).choice([-0.5, 0.5], size=exact.shape)
+    exact *= flow_px / np.median(np.linalg.norm(exact, axis=1))
+    left = np.random.default_rng(5).choice([-left_px, left_px], size=exact.shape)
     left[np.random.default_rng(6).random(NODES) > 0.6] = 0.0
-    selector = ModelSelector()
-    selector.update(EPIPOLAR, FreeFlow(exact + left, free.information), W, V)
-    assert selector.residual_px == pytest.approx(0.5 * np.sqrt(2), rel=0.1)
-    median = np.median(np.linalg.norm(exact, axis=1))
-    assert selector.residual_share == pytest.approx(selector.residual_px / median, rel=0.1)
+    assert judged(FreeFlow(exact + left, CERTAIN)) is rotation
+
+
+@pytest.mark.parametrize(("share", "rotation"), [(0.9, True), (1.1, False)])
+def test_a_motion_that_costs_far_less_is_no_rotation(share, rotation):
+    """Though the rotation leaves little of the flow."""
+    free = field(np.zeros(3), W)
+    alone = EPIPOLAR.rotation(*free.evidence)
+    full = replace(alone, residual=alone.residual / (4.5 * share))
+    assert rotates(EPIPOLAR, free, alone, full) is rotation
 
 
 def test_errors_along_an_edge_do_not_count():
@@ -89,39 +76,35 @@ def test_errors_along_an_edge_do_not_count():
     angle = np.random.default_rng(7).uniform(0, np.pi, NODES)
     normal = np.stack([np.cos(angle), np.sin(angle)], -1)
     along = np.stack([-normal[:, 1], normal[:, 0]], -1)
-    information = normal[:, :, None] * normal[:, None, :] + 1e-6 * np.eye(2)
+    information = 100 * normal[:, :, None] * normal[:, None, :] + 1e-6 * np.eye(2)
     hidden = np.random.default_rng(8).normal(scale=4, size=(NODES, 1)) * along
-    selector = ModelSelector()
-    free = FreeFlow(EPIPOLAR.b @ W + hidden, information)
-    assert selector.update(EPIPOLAR, free, W, V) is MotionModel.ROTATION
-    assert selector.residual_px < 0.1
+    assert judged(FreeFlow(EPIPOLAR.b @ W + hidden, information))
 
 
 def test_nodes_without_events_do_not_count():
     exact = EPIPOLAR.b @ W
     lost = np.arange(NODES) % 3 > 0
     information = CERTAIN * np.where(lost, 0.0, 1.0)[:, None, None]
-    flow = exact + np.where(lost, 20.0, 0.0)[:, None]
-    selector = ModelSelector()
-    assert selector.update(EPIPOLAR, FreeFlow(flow, information), W, V) is MotionModel.ROTATION
+    assert judged(FreeFlow(exact + np.where(lost, 20.0, 0.0)[:, None], information))
 
 
-def test_the_model_follows_a_change_of_motion():
-    selector = ModelSelector()
-    for seed in range(5):
-        selector.update(EPIPOLAR, rotation(seed=seed), W, V)
-    assert selector.model is MotionModel.ROTATION
-    models = [selector.update(EPIPOLAR, field(V, W, seed=seed), W, V) for seed in range(4)]
-    assert models[-1] is MotionModel.FULL
-    models = [selector.update(EPIPOLAR, rotation(seed=seed), W, V) for seed in range(12)]
-    assert models[-1] is MotionModel.ROTATION
-    assert selector.windows == 21
+def test_without_evidence_nothing_is_told():
+    assert not judged(FreeFlow(np.zeros((NODES, 2)), np.zeros((NODES, 2, 2))))
 
 
-def test_without_evidence_nothing_fails():
-    nothing = FreeFlow(np.zeros((NODES, 2)), np.zeros((NODES, 2, 2)))
-    selector = ModelSelector()
-    selector.update(EPIPOLAR, nothing, np.zeros(3), V)
-    assert selector.agreement == 0.0
-    figures = (selector.residual_px, selector.residual_share, selector.advantage)
-    assert np.isfinite(figures).all()
+def test_a_fit_goes_on_with_the_model_that_the_flow_shows():
+    """From a guess of v that the rotation has left: to the translation that is, and back."""
+    estimator = LatticeEstimator(CAMERA, load_config("realtime").estimator)
+    fit, guess = estimator._fit, np.array([0.0, 1.0, 0.0])
+    fit.motion = Motion.constant(W, guess)
+    turning, travelling = field(np.zeros(3), W), field(V, 0.5 * W)
+    assert estimator._reconsider(turning)
+    np.testing.assert_allclose(fit.node_flow[:, 0], EPIPOLAR.b @ W, atol=0.1)
+    assert not estimator._reconsider(turning)  # as it was
+    assert estimator._reconsider(travelling)
+    w, v = fit.motion.at(0.5)
+    np.testing.assert_allclose(w, 0.5 * W, atol=0.004)
+    assert abs(v @ V) > np.cos(np.radians(16))  # the grid's
+    assert estimator._agreement * (v @ V) > 0.8
+    assert estimator._reconsider(turning)
+    np.testing.assert_allclose(fit.node_flow[:, 0], EPIPOLAR.b @ W, atol=0.1)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.lattice.belief import Structure
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.known import Structure
 
 LATTICE = Lattice(346, 260, 14, 11)
 NODES = 14 * 11

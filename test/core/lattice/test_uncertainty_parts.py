@@ -99,9 +99,12 @@ def test_a_cost_far_below_the_present_one_is_no_overflow():
     np.testing.assert_allclose(possible.mean[:3], -W)
 
 
+NO_OTHER = PossibleMotions(np.zeros(6), np.zeros((6, 6)))
+
+
 def sigmas(parallax_px: float) -> tuple[float, float]:
     """Standard deviations of w and of v, which are alike in all directions."""
-    covariance = covariance_of(PossibleMotions(), parallax_px=parallax_px)
+    covariance = covariance_of(NO_OTHER, parallax_px=parallax_px)
     of_w, of_v = covariance[0, 0], covariance[3, 3]
     np.testing.assert_allclose(covariance, np.diag(np.repeat([of_w, of_v], 3)))
     return float(np.sqrt(of_w)), float(np.sqrt(of_v))
@@ -121,7 +124,7 @@ def test_the_spread_adds_to_the_error():
     possible = weigh(np.add(W, [0.0, 0.04, 0.0]), turned(0.4), 0.0)
     counts = []
     for sized in (True, False):
-        added = covariance_of(possible, sized=sized) - covariance_of(PossibleMotions(), sized=sized)
+        added = covariance_of(possible, sized=sized) - covariance_of(NO_OTHER, sized=sized)
         share = np.trace(added[3:, 3:]) / np.trace(possible.spread[3:, 3:])
         np.testing.assert_allclose(added[:3, :3], possible.spread[:3, :3], atol=1e-15)
         np.testing.assert_allclose(added[3:, 3:], share * possible.spread[3:, 3:], atol=1e-15)

@@ -5,16 +5,18 @@ import pytest
 
 from emoflow_ros.config import load_config
 from emoflow_ros.core.lattice.egomotion import Motion
+from emoflow_ros.core.lattice.known import Structure
 from emoflow_ros.core.lattice.memory import Memory
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
 
 MS = NS_PER_MS
+NOTHING = Structure(np.zeros(4), np.zeros(4))
 
 
 def memory(start_ms: float, end_ms: float) -> Memory:
     flow = np.zeros((2, 2, 2, 2), np.float32)
     still = Motion.constant(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    return Memory(round(start_ms * MS), round(end_ms * MS), flow, still, None, None)
+    return Memory(round(start_ms * MS), round(end_ms * MS), flow, still, NOTHING)
 
 
 def window(start_ms: float, end_ms: float) -> Window:

@@ -1,7 +1,7 @@
 """What is known of the motion and the scene before a window's own events are used.
 
-Earlier windows leave a belief in the egomotion and the inverse depths of the scene; a gyro measures
-the rotation.
+Earlier windows leave the inverse depths of the scene; a gyro measures the rotation, and the memory
+of positions the motion.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,6 @@ from emoflow_ros.core.gyro.measurement import GyroMeasurement
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.settings import LATTICE
-from emoflow_ros.core.types.events import NS_PER_S, Window
 
 Array = NDArray[np.float64]
 
@@ -29,58 +28,8 @@ _SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
 
 
 @dataclass(frozen=True)
-class Belief:
-    """A Gaussian over (w, v): angular velocity in rad/s and unit direction of translation.
-
-    Attributes:
-        t: time that it holds at, ns.
-        w, v: (3,) mean.
-        covariance: (6, 6) of (w, v); along v itself it means nothing and is 1.
-    """
-
-    t: int
-    w: Array
-    v: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, t: int, w: Array, v: Array, covariance: Array) -> "Belief":
-        """Build it from a covariance (6, 6) of (w, v), whatever that says along v."""
-        across = np.eye(6)
-        across[3:, 3:] -= np.outer(v, v)
-        covariance = across @ covariance @ across.T
-        covariance[3:, 3:] += np.outer(v, v)
-        return cls(t, w, v, 0.5 * (covariance + covariance.T))
-
-    def predicted_information(self, t: int, angular_drift: float, direction_drift: float) -> Array:
-        """Information (6, 6) that is left on (w, v) at a later time, in the units given.
-
-        Args:
-            t: ns.
-            angular_drift: rad/s per square root of a second.
-            direction_drift: rad per square root of a second.
-        """
-        elapsed = max(0, t - self.t) / NS_PER_S
-        drift = np.repeat([angular_drift**2, direction_drift**2], 3) * elapsed
-        predicted: Array = INFORMATION_EXCESS * np.linalg.inv(self.covariance + np.diag(drift))
-        return predicted
-
-    def facing(self, sign: float) -> "Belief":
-        """Return the same with v turned round where `sign` is -1."""
-        both = np.repeat([1.0, sign], 3)
-        return Belief(self.t, self.w, sign * self.v, self.covariance * np.outer(both, both))
-
-    def across(self) -> Array:
-        """Covariance (6, 6) in the order of ROS twists, (v, w), with v across its direction."""
-        order = np.r_[3:6, 0:3]
-        covariance = self.covariance.copy()
-        covariance[3:, 3:] -= np.outer(self.v, self.v)
-        return covariance[np.ix_(order, order)]
-
-
-@dataclass(frozen=True)
 class MotionPrior:
-    """What earlier windows say about the motion in the middle of this one.
+    """What is known of the motion in the middle of a window.
 
     Attributes:
         mean: (6,) w in rad per window, v.
@@ -89,33 +38,6 @@ class MotionPrior:
 
     mean: Array
     information: Array
-
-    @classmethod
-    def carried(
-        cls, belief: Belief, window: Window, angular_drift: float, direction_drift: float
-    ) -> Self:
-        """Carry a belief over to the middle of a window, in its units.
-
-        Args:
-            belief: what is known from earlier windows.
-            window: the one to come.
-            angular_drift: deg/s per square root of a second.
-            direction_drift: deg per square root of a second.
-        """
-        information = belief.predicted_information(
-            (window.t_start + window.t_end) // 2,
-            np.radians(angular_drift),
-            np.radians(direction_drift),
-        )
-        unit = np.repeat([window.duration, 1.0], 3)
-        return cls(unit * np.concatenate([belief.w, belief.v]), information / np.outer(unit, unit))
-
-    def surprise(self, directions: Array) -> Array:
-        """Cost (M,) that directions of v (M, 3), of either sign, would add to that of the flow."""
-        of_v = np.linalg.inv(np.linalg.inv(self.information)[3:, 3:])
-        apart = np.stack([directions - self.mean[3:], directions + self.mean[3:]])
-        cost: Array = np.einsum("smi,ij,smj->sm", apart, of_v, apart).min(axis=0)
-        return cost / INFORMATION_EXCESS
 
 
 @dataclass(frozen=True)
