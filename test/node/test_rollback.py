@@ -45,8 +45,8 @@ def test_values_that_are_lost_cost_the_window_and_the_next_starts_cold(
     estimator, untouched = (LatticeEstimator(CAMERA, CONFIG.estimator) for _ in range(2))
     assert [estimator.estimate(w).status for w in windows[:2]] == [Status.OK] * 2
 
-    def step(fit: LatticeFit, prior: object) -> None:
-        step_coupled(fit, prior)
+    def step(fit: LatticeFit) -> None:
+        step_coupled(fit)
         lose(fit)
 
     step_coupled = LatticeFit.step_coupled
