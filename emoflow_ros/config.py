@@ -29,6 +29,8 @@ _ESTIMATORS: dict[str, type[LatticeConfig | ImplicitConfig]] = {
 _REMOVED = {
     "estimator.max_doubt": "nothing is withheld any more, the covariance says how sure a twist is; "
     "output.max_angular_sd and output.max_direction_sd hold back what is wider",
+    "estimator.spline_roughness": "w and v change linearly over a window now; "
+    "estimator.motion_stiffness weighs how much",
     "estimator.memory": "positions are always remembered, with estimator.model auto",
 }
 

@@ -70,10 +70,8 @@ class State:
         patches: that are followed.
         measured: motions of windows within the nodes.
         walks: how restless the camera is.
-        saved: cost per patch that a translation saves over a rotation, where last compared.
         adjusted: of the last step; None while patches are too few.
         hypotheses: ways that are possible at these nodes; None as well.
-        adjustments: how many there were.
     """
 
     walks: Walks
@@ -81,10 +79,8 @@ class State:
     x: Unknowns | None = None
     patches: Patches = field(default_factory=Patches.none)
     measured: tuple[Measured, ...] = ()
-    saved: float | None = None
     adjusted: Adjusted | None = None
     hypotheses: Hypotheses | None = None
-    adjustments: int = 0
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
@@ -234,25 +230,20 @@ class Odometry:
         known = prior(state.t, state.measured, state.walks, back)
         depth = np.where(np.isfinite(some.inverse_depth), some.inverse_depth, 1.0)
         begin = x._replace(inverse_depth=depth)
-        guesses = starts(state.t, begin, state.measured, state.hypotheses, state.adjustments, back)
+        guesses = starts(state.t, begin, state.measured, state.hypotheses, back)
         result = best(problem, begin, known, guesses, back)
         if result is None:
             return self.start()
         found, others = result
-        saved = state.saved
-        sure = saved is not None and saved > back.surely_translates
-        skipped = sure and state.adjustments % back.check_every != 0
-        rotated = None if skipped else rotating(problem, found, known, back)
+        rotated = rotating(problem, found, known, back)
         if rotated is not None and rotated.cost < found.cost:
             # Travel includes it: the search went astray.
             again = best(problem, rotated.x, known, [], back)
             if again is not None:
                 others.append((found.x, found.cost))
                 found = again[0]
-        if rotated is not None:
-            saved = (rotated.cost - found.cost) / len(some)
-            if saved < back.rotation_cost:
-                found = rotated
+        if rotated is not None and rotated.cost - found.cost < back.rotation_cost * len(some):
+            found = rotated
         hypotheses = Hypotheses.weighed(found, others, back)
         found = found.of_unit_depth()
         try:
@@ -266,10 +257,8 @@ class Odometry:
             x=found.x._replace(inverse_depth=np.zeros(0)),
             patches=replace(patches, inverse_depth=depths),
             walks=walks,
-            saved=saved,
             adjusted=found,
             hypotheses=hypotheses,
-            adjustments=state.adjustments + 1,
         )
 
     def _completed(self, state: State, picture: Slice) -> State:

@@ -11,7 +11,6 @@ from emoflow_ros.core.back_end.consistency import (
     angular_factor,
     direction_variance,
 )
-from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.scene import depths_now
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt, interpolated
@@ -22,7 +21,7 @@ from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.bending import Bend
 from emoflow_ros.core.lattice.field import LatticeFlow
 from emoflow_ros.core.lattice.preparation import WorkingImage
-from emoflow_ros.core.lattice.refinement import Depths, rotation_by_parts
+from emoflow_ros.core.lattice.refinement import Depths
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.types.estimate import (
@@ -36,6 +35,7 @@ from emoflow_ros.core.types.estimate import (
 )
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
 from emoflow_ros.core.types.gyro import GyroState
+from emoflow_ros.core.window_evidence import measured_by_window, variance_of_window
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -163,7 +163,8 @@ class RememberingEstimator:
         motion, back = state.motion(found.t), self._odometry.back
         if motion is None:
             return False
-        apart = (found.angular - motion.angular) / np.sqrt(self._variance(found))
+        variance = variance_of_window(found, self.image.camera, back)
+        apart = (found.angular - motion.angular) / np.sqrt(variance)
         kept = state.patches.kept(self._front.patience)
         return float(apart @ apart) > back.refuted**2 and kept < back.refuting_share
 
@@ -175,7 +176,7 @@ class RememberingEstimator:
             grid = self._odometry.scene_flow(state)
         else:
             grid = self._on_grid(found.flow, found.t)
-        measured = self._measured(found)
+        measured = measured_by_window(found, self.image.camera, self._odometry.back)
         for events in slices(
             window.events, since, window.t_end, grid, self.image.sensor_px, self._front
         ):
@@ -188,31 +189,6 @@ class RememberingEstimator:
         """Flow at a time on the tracking image's grid, (rows, columns, 2) px/s of that image."""
         velocity = velocity_at(flow, self._grid, t) / self.image.sensor_px
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
-
-    def _measured(self, found: Estimate) -> tuple[Measured, ...]:
-        """What a window says of w; that no motion is seen in it says that w is small.
-
-        A gyro tells how it changes, too, part by part; together they count as one.
-        """
-        parts = self._odometry.back.gyro_parts if found.gyro.state is GyroState.USED else 1
-        angular, length = found.angular[None], found.t_end - found.t_start
-        if found.motion is not None:
-            angular = rotation_by_parts(found, parts) * (NS_PER_S / length)
-        root = np.eye(3) / np.sqrt(len(angular) * self._variance(found))
-        ends = found.t_start + np.arange(len(angular) + 1) * length // len(angular)
-        return tuple(
-            Measured(int(begin), int(end), w, root, found.linear)
-            for begin, end, w in zip(ends[:-1], ends[1:], angular, strict=True)
-        )
-
-    def _variance(self, found: Estimate) -> float:
-        """Variance of what a window says of w about each axis, (rad/s)^2."""
-        back, by_gyro = self._odometry.back, found.gyro.state is GyroState.USED
-        spread = np.radians(back.gyro_sd_deg if by_gyro else back.lattice_sd_deg)
-        if found.flow is None:
-            seconds = (found.t_end - found.t_start) / NS_PER_S
-            spread = back.unseen_px / (self.image.camera.fx * seconds)
-        return max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + float(spread) ** 2
 
     def _read(
         self,
@@ -239,6 +215,8 @@ class RememberingEstimator:
             seen = state.patches.times_seen
             factor = lost * angular_factor(experience, cost, seen, seconds, back.errors)
             factor *= back.errors.alone if found.flow is None else 1.0
+            if found.flow is not None:  # else the lattice measures nothing
+                spread = spread + back.errors.of_now * np.outer(experience.away, experience.away)
             angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + spread
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear, variance = np.zeros(3), lost * direction_variance(experience, cost, back.errors)
@@ -266,6 +244,7 @@ class RememberingEstimator:
             angular=angular,
             covariance=covariance,
             motion=told,
+            angular_walk=state.walks.angular,
         )
         flow = estimate.flow
         if (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s:

@@ -16,16 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from emoflow_ros.core.types.estimate import (
-    Estimate,
-    MotionModel,
-    PresentTwist,
-    Quality,
-    Status,
-    Twist,
-)
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.core.types.gyro import GyroReadings, GyroState, GyroStatus
+from emoflow_ros.core.types.twist import PresentTwist, Twist
 from emoflow_ros.node.tasks import Arrays, Present, Result, Task
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.types.estimate import covariance_at_speed
+from emoflow_ros.core.types.twist import covariance_at_speed
 
 WIDE, REP_145 = "wide", "rep145"
 UNKNOWN = 1e6  # (m/s)^2: a standard deviation beyond all cameras, and no trouble for 64 bits

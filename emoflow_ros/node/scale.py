@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-from emoflow_ros.core.types.estimate import SpeedLog
 from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.twist import SpeedLog
 from emoflow_ros.errors import InputError
 from emoflow_ros.node.ros_arguments import refused_values
 from emoflow_ros.node.settings import ScaleOptions

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from emoflow_ros.config import Config
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.types.estimate import Estimate, PresentTwist
+from emoflow_ros.core.types.estimate import Estimate
 from emoflow_ros.core.types.events import NS_PER_S, Window
+from emoflow_ros.core.types.twist import PresentTwist
 from emoflow_ros.node.event_share import share_of
 
 type Arrays = dict[str, NDArray[Any]]

@@ -14,13 +14,8 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from std_msgs.msg import Header
 
-from emoflow_ros.core.types.estimate import (
-    PresentTwist,
-    Twist,
-    at_middle,
-    covariance_in_frame,
-)
 from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.twist import PresentTwist, Twist, at_middle, covariance_in_frame
 from emoflow_ros.node.linear_covariance import published_covariance
 from emoflow_ros.node.settings import OutputOptions
 from emoflow_ros.node.target_frame import LATEST, Matrix, make_target_frame

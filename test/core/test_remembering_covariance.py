@@ -20,6 +20,8 @@ from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 C, S = np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
 TILT = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
 W_ONLY, V_ONLY = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.0, 0.0])
+# What the window itself shows of the error of w is left out.
+ALWAYS = BackEndSettings(errors=replace(BackEndSettings().errors, of_now=0.0))
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ def test_a_motion_is_less_sure_where_few_patches_are_found_again(
     calm: Run, monkeypatch: pytest.MonkeyPatch
 ):
     spread_of(monkeypatch, 0.0)
-    law = BackEndSettings().errors
-    sure = last_of(calm)
+    law = ALWAYS.errors
+    sure = last_of(calm, ALWAYS)
     losing = BackEndSettings(errors=replace(law, lost_share=1.1))
     unsure = last_of(calm, losing)
     assert (law.lost, law.lost_share) == (8.0, 0.1)
@@ -74,12 +76,32 @@ def test_a_motion_is_less_sure_where_few_patches_are_found_again(
 
 def test_only_of_a_warm_fit_the_length_counts(calm: Run, monkeypatch: pytest.MonkeyPatch):
     spread_of(monkeypatch, 0.0)
-    warm, cold = last_of(calm), last_of(calm, warm=False)
+    warm, cold = last_of(calm, ALWAYS), last_of(calm, ALWAYS, warm=False)
     part = (warm.t_end - warm.t_start) / 1e9
     assert part < 0.9 * calm.windows[5].duration
     longer = calm.windows[5].duration / part
     assert cold.covariance[3:, 3:] == pytest.approx(longer * warm.covariance[3:, 3:])
     assert cold.covariance[:3, :3] == pytest.approx(warm.covariance[:3, :3])
+
+
+def test_the_distance_to_the_lattice_s_w_in_the_window_is_added(calm: Run):
+    camera = calm.recording.camera
+    lattice = LatticeEstimator(camera, LatticeConfig())
+    founds = [lattice.estimate(window) for window in calm.windows[:6]]
+    off, told = np.radians([3.0, -1.0, 2.0]), []
+    founds[-1] = replace(founds[-1], angular=founds[-1].angular + off)
+    for back in (ALWAYS, BackEndSettings()):
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+        memory = reader.nothing()
+        for window, found in zip(calm.windows, founds, strict=False):
+            memory, estimate = reader.step(memory, window, found)
+        told.append(estimate)
+    without, whole = told
+    away = founds[-1].angular - whole.angular
+    assert np.degrees(np.linalg.norm(away)) > 1
+    added = whole.covariance[3:, 3:] - without.covariance[3:, 3:]
+    assert added == pytest.approx(BackEndSettings().errors.of_now * np.outer(away, away))
+    assert BackEndSettings().errors.of_now == 0.6
 
 
 def test_the_spread_of_other_ways_is_added(calm: Run, monkeypatch: pytest.MonkeyPatch):

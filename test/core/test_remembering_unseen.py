@@ -64,7 +64,9 @@ def test_patches_tell_the_motion_and_the_flow_is_fitted_with_it(warm: Warm):
 
 
 def test_such_a_motion_is_less_sure(warm: Warm):
+    """Its distance to a w that the lattice does not measure does not count."""
     law = BackEndSettings().errors
+    assert law.of_now > 0
     believing = BackEndSettings(errors=replace(law, alone=1.0))
     _, told = warm.reader().step(warm.memory, warm.window, warm.nothing)
     _, sure = warm.reader(believing).step(warm.memory, warm.window, warm.nothing)

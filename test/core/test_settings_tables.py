@@ -13,7 +13,7 @@ from emoflow_ros.core.lattice.settings import LATTICE, LatticeSettings
 from emoflow_ros.core.products.settings import PRESENT, STREAM, PresentSettings, StreamSettings
 
 FOLDER = Path(emoflow_ros.core.__file__).parent
-NO_NUMBERS = {"Array", "F32", "F64", "_compiled", "_compiler", "_inlined", "_basis_at"}
+NO_NUMBERS = {"Array", "F32", "F64", "_compiled", "_compiler", "_inlined"}
 OF_FORM = {
     "gyro/gyro": {"_NS_PER_S"},
     "gyro/checks": {"UNLIKELY_6", "UNLIKELY_3", "_DEG", "AXES"},
@@ -23,7 +23,7 @@ OF_FORM = {
     "lattice/known": {"INFORMATION_EXCESS", "_MEAN", "_SLOPE"},
     "lattice/confinement": {"_FEWEST_NODES"},
     "lattice/constraints": {"_STRUCTURE_INLIER_PX"},
-    "lattice/egomotion": {"_UNKNOWN", "MOTION_UNKNOWNS", "BY_POINTS"},
+    "lattice/egomotion": {"_UNKNOWN", "MOTION_UNKNOWNS"},
     "lattice/flow_starts": set(),
     "lattice/memory": {"_EXTRAPOLATIONS"},
     "lattice/preparation": {"_BLOCK"},

@@ -13,8 +13,9 @@ from fake_node import FakeNode, install_fake_tf
 
 from emoflow_ros.config import Config, load_config
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.types.estimate import MotionModel, PresentTwist, Status, Twist
+from emoflow_ros.core.types.estimate import MotionModel, Status
 from emoflow_ros.core.types.events import Events, Window
+from emoflow_ros.core.types.twist import PresentTwist, Twist
 from emoflow_ros.node.diagnostics import Statistics
 from emoflow_ros.node.outputs import Outputs
 from emoflow_ros.node.reports import Level

@@ -9,7 +9,7 @@ pytest.importorskip("rclpy", reason="no ROS: run `make test`")
 
 from pipeline_bench import MS, PipelineBench
 
-from emoflow_ros.core.types.estimate import PresentTwist, Twist
+from emoflow_ros.core.types.twist import PresentTwist, Twist
 from emoflow_ros.node.tasks import Present
 
 

@@ -20,7 +20,7 @@ from rclpy.lifecycle import LifecycleNode
 from ros_nodes import ros_context
 from std_msgs.msg import Float64, String
 
-from emoflow_ros.core.types.estimate import Twist
+from emoflow_ros.core.types.twist import Twist
 from emoflow_ros.node.scale import Scale, Scaling, to_speed
 from emoflow_ros.node.settings import ScaleOptions
 from emoflow_ros.node.twist_output import make_publisher, to_header, to_twist_with_covariance

@@ -4,10 +4,11 @@ Errors of tracks are outliers rather than noise, and a search may end in a wrong
 shows in the normal equations. What does show is a motion that the next adjustment revises, another
 one that the lattice measures, places that do not fit, patches that were seen but a few times, and
 slow events, whose windows are long. How the variance of the error goes with these was fitted to the
-errors of recordings (docs/experiments.md): to powers of most, exponentially to the angle.
+errors of recordings (docs/experiments.md): to powers of most, exponentially to the angle. How far
+the lattice's motion is away in the window itself is a part of its own.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ class Experience:
         apart: log of the distance (rad/s) to the angular velocity that the lattice measures; None
             before the first window.
         astray: angle (rad) to the direction that the lattice measures; None as well.
+        away: (3,) rad/s, the lattice's angular velocity less the adjusted one of the last window.
         t: the time that the last motion was told for, ns; None before one.
         motion: that was told.
     """
@@ -37,6 +39,7 @@ class Experience:
     turned: float
     apart: float | None = None
     astray: float | None = None
+    away: Array = field(default_factory=lambda: np.zeros(3))
     t: int | None = None
     motion: MotionAt | None = None
 
@@ -59,7 +62,8 @@ class Experience:
                 at t; the direction is zero where unknown.
             law: what is made of it.
         """
-        apart = float(np.log(law.least_apart + np.linalg.norm(measured[0] - motion.angular)))
+        away = measured[0] - motion.angular
+        apart = float(np.log(law.least_apart + np.linalg.norm(away)))
         astray = _angle(measured[1], motion.linear, law.unknown_angle)
         revised, turned = self.revised, self.turned
         if self.motion is not None and again is not None:
@@ -73,6 +77,7 @@ class Experience:
             turned,
             _mixed(self.apart, apart, law),
             _mixed(self.astray, astray, law),
+            away,
             t,
             motion,
         )
@@ -81,7 +86,7 @@ class Experience:
 def angular_factor(
     experience: Experience, cost: float, times_seen: float, seconds: float, law: ErrorLaw
 ) -> float:
-    """By how much the squared error of an angular velocity exceeds its covariance.
+    """By how much the squared error of an angular velocity usually exceeds its covariance.
 
     Args:
         experience: with this motion.
@@ -92,10 +97,10 @@ def angular_factor(
     """
     assert experience.apart is not None
     return law.angular * float(
-        np.exp(law.of_apart * experience.apart + law.of_revised * experience.revised)
+        np.exp(experience.apart + law.of_revised * experience.revised)
         * max(cost, law.least_cost) ** law.of_cost
-        * seconds**law.of_seconds
-        * (1 + times_seen) ** law.of_seen
+        * seconds
+        / (1 + times_seen) ** 2
     )
 
 
@@ -106,7 +111,7 @@ def direction_variance(experience: Experience, cost: float, law: ErrorLaw) -> fl
     """
     assert experience.astray is not None
     return law.direction * float(
-        np.exp(law.of_astray * experience.astray + law.of_turned * experience.turned)
+        np.exp(law.of_astray * experience.astray + 2 * experience.turned)
         * max(cost, law.least_cost) ** law.of_cost_direction
     )
 

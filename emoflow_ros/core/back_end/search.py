@@ -23,8 +23,6 @@ from emoflow_ros.core.types.events import NS_PER_S
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-_STRIDE = 7  # between directions tried in turn, far apart; it shares no divisor with their number
-
 
 def best(
     problem: Observations, start: Unknowns, prior: Prior, others: list[Unknowns],
@@ -90,38 +88,32 @@ def _adjusted(
 
 
 def starts(
-    t: Times, x: Unknowns, measured: tuple[Measured, ...], before: Hypotheses | None, number: int,
+    t: Times, x: Unknowns, measured: tuple[Measured, ...], before: Hypotheses | None,
     settings: BackEndSettings,
 ) -> list[Unknowns]:  # fmt: skip
-    """List other starts: as measured, the last rival or else the way reversed, and one direction.
+    """List other starts: as measured, and the last rival.
 
     Without the first a wrong memory would keep itself up: it predicts what it sees. While the
-    memory fills, the camera may also stand, and now and then all directions are tried.
+    memory fills, all directions are tried now and then.
 
     Args:
         t: (K,) ns of the nodes.
         x: the start that goes on from the last adjustment.
         measured: velocities of windows.
         before: what the last adjustment found possible, at these nodes; None if there is none.
-        number: of adjustments so far.
         settings: of the back end.
     """
-    depths, fills = np.ones(len(x.inverse_depth)), len(t) < settings.slices
-    found: list[Unknowns] = []
+    depths, found = np.ones(len(x.inverse_depth)), list[Unknowns]()
     if measured:
         nearest = np.abs(np.array([m.t for m in measured]) - t[:, None]).argmin(axis=1)
         angular = np.array([measured[n].angular for n in nearest])
         linear = settings.start_speed * np.array([measured[n].direction for n in nearest])
         found.append(along(t, angular, linear, depths))
-        if fills:
-            found.append(along(t, angular, np.zeros_like(linear), depths))
-    directions = _sphere(settings.directions)
-    if before is not None:
-        rival = before.rival or x._replace(position=-x.position, velocity=-x.velocity)
-        found.append(rival._replace(inverse_depth=depths))
-        if not (fills and len(t) in settings.directions_at):
-            directions = directions[_STRIDE * number % settings.directions, None]
-    for direction in directions:
+    if before is not None and before.rival is not None:
+        found.append(before.rival._replace(inverse_depth=depths))
+    if before is not None and len(t) not in settings.directions_at:
+        return found
+    for direction in _sphere(settings.directions):
         velocity = np.tile(settings.start_speed * direction, (len(t), 1))
         position = (t - t[-1])[:, None] / NS_PER_S * velocity
         found.append(x._replace(position=position, velocity=velocity, inverse_depth=depths))
@@ -134,8 +126,8 @@ def rotating(
     """Adjust a camera that only rotates, from one that translates; None if that diverges."""
     with suppress(np.linalg.LinAlgError):
         return adjust(
-            problem, translating.x, prior, settings.outlier, settings.rotation_steps,
-            settings.depths, translates=False,
+            problem, translating.x, prior, settings.outlier, settings.steps, settings.depths,
+            translates=False,
         )  # fmt: skip
     return None
 

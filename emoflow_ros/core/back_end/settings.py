@@ -15,16 +15,18 @@ class ErrorLaw:
 
     Attributes:
         angular: factor on the covariance of the angular velocity.
-        of_apart, of_revised, of_cost, of_seconds, of_seen: powers of its distance from the
-            lattice's, of its revisions, of the cost of an observation, of the window's length, and
-            of one more than the number of slices that show a patch.
+        of_revised, of_cost: powers of its revisions and of the cost of an observation in it. It
+            goes with its distance from the lattice's, with the window's length, and with the
+            inverse square of one more than the number of slices that show a patch.
+        of_now: share of the square of that distance in the window itself.
         first: factor on the lattice's covariance where the memory tells no motion yet.
         alone: factor besides where the lattice sees no motion.
-        lost, lost_share: factor besides, for the direction, too, where the newest slice shows less
-            than this share of the patches followed.
+        lost, lost_share: factor besides, but for of_now; for the direction, too, where the newest
+            slice shows less than this share of the patches followed.
         direction: factor on the variance of the direction, rad^2.
         of_astray: exponent per rad between it and the lattice's.
-        of_turned, of_cost_direction: powers of the angle by which it is revised, and of the cost.
+        of_cost_direction: power of the cost; it goes with the square of the angle by which it is
+            revised.
         share: of the newest window in running means.
         usual_revision, usual_turn: before the first one.
         least_revision, least_turn, least_apart: added to each, so that chance tells nothing.
@@ -32,19 +34,16 @@ class ErrorLaw:
         unknown_angle: that counts where a direction is unknown.
     """
 
-    angular: float = 50000.0
-    of_apart: float = 1.0
+    angular: float = 35000.0
     of_revised: float = 0.75
     of_cost: float = 0.75
-    of_seconds: float = 1.0
-    of_seen: float = -2.0
+    of_now: float = 0.6
     first: float = 3.0
     alone: float = 2.0
     lost: float = 8.0
     lost_share: float = 0.1
     direction: float = 0.68
     of_astray: float = 2.4
-    of_turned: float = 2.0
     of_cost_direction: float = 2.9
     share: float = 0.15
     usual_revision: float = 0.05
@@ -92,16 +91,14 @@ class BackEndSettings:
         temperature: cost, times the misfit, by which a way is e times less likely than another.
         same_direction_deg: ways whose directions are nearer are one, deg.
         rotation_cost: cost per patch that a translation must save; below, the camera only rotates.
-        surely_translates: cost per patch from which that is checked now and then only.
-        check_every: adjustments between such checks.
-        directions: of translation that are tried while the memory fills; later one in each window.
-        directions_at: numbers of nodes at which they are tried.
+        directions: of translation that are tried while the memory fills.
+        directions_at: numbers of nodes at which they are tried, below `slices`.
         start_speed: of these, 1/s.
         expected_cost: mean robust cost of an observation where the covariance is right.
         errors: how far a motion is to be believed.
         widest_direction_deg: standard deviation of a direction that is reported, deg.
         settled_s: that the nodes reach back before the flow is fitted again with their motion, s.
-        steps, rotation_steps: of the adjustment at most, and of a camera that only rotates.
+        steps: of the adjustment at most.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
     """
 
@@ -129,8 +126,6 @@ class BackEndSettings:
     temperature: float = 20.0
     same_direction_deg: float = 7.0
     rotation_cost: float = 1.25
-    surely_translates: float = 3.75
-    check_every: int = 3
     directions: int = 18
     directions_at: tuple[int, ...] = (4, 6, 8)
     start_speed: float = 0.3
@@ -139,7 +134,6 @@ class BackEndSettings:
     widest_direction_deg: float = 60.0
     settled_s: float = 0.3
     steps: int = 5
-    rotation_steps: int = 6
     guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
 
     @property

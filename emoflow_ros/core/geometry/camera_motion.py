@@ -3,7 +3,7 @@
 With bearings X = (x, y, 1) on the undistorted normalised plane and flow U in 1/s there, a
 static scene at depth Z moves as U = A v / Z + B w (Heeger and Jepson, IJCV 1992). The
 differential epipolar constraint (DEC) eliminates Z: what is left of U after rotation is parallel
-to A v. The motion over a window is one segment of a uniform cubic B-spline (docs/method.md).
+to A v. The motion over a window is told as one segment of a uniform cubic B-spline.
 """
 
 from dataclasses import dataclass
@@ -121,6 +121,11 @@ def basis(s: ArrayLike) -> NDArray[np.float64]:
         )
         / 6
     )
+
+
+def straight(ends: Array) -> Array:
+    """Control points (4, 3) of a spline that goes straight between two ends (2, 3)."""
+    return np.asarray(np.stack([1 - GREVILLE, GREVILLE], axis=1) @ ends)
 
 
 @dataclass(frozen=True)

@@ -121,9 +121,7 @@ class Blend:
         own = own.reshape(self.fine.shape)
         apart = (rigid - own.mean(axis=2))[:, :, None]
         here, there = self._around(events, own), self._around(events, own + apart)
-        seen = here / (here + here.mean())  # with little to compare the lattice is hardly preferred
-        odds = LATTICE.blend_power * np.log(there / here) - LATTICE.blend_bias * seen
-        share = self._usable * expit(odds)
+        share = self._usable * expit(LATTICE.blend_power * np.log(there / here))
         return (own + share[:, :, None, None] * apart).astype(np.float32)
 
     def _around(self, events: WindowEvents, flow: Array) -> Array:

@@ -43,8 +43,8 @@ class LatticeConfig:
         minimum=1e-2,
         maximum=100.0,
     )
-    spline_roughness: float = option(
-        1.0, "weight of the curvature of the egomotion's spline", minimum=0.0, maximum=1e6
+    motion_stiffness: float = option(
+        0.3, "weight of the motion's change within the window", minimum=0.0, maximum=1e6
     )
     warm_iterations: int = option(
         3, "steps at full resolution after a warm start", minimum=1, maximum=100

@@ -7,13 +7,12 @@ by the norm of the line, so that it has the unit and the noise of the flow itsel
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, basis, motion_matrices
+from emoflow_ros.core.geometry.camera_motion import motion_matrices
 from emoflow_ros.core.lattice import constraints, rotations
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.settings import LATTICE
@@ -26,17 +25,7 @@ Array = NDArray[np.float64]
 type Rotation = tuple[Array, Array]
 _UNKNOWN: Rotation = (np.zeros(3), np.zeros((3, 3)))
 
-MOTION_UNKNOWNS = 6 * CONTROL_POINTS + 1
-
-# Derivatives (13, 25) of w and v at the window's start, at its end, and of the speed
-BY_POINTS = np.zeros((13, MOTION_UNKNOWNS))
-BY_POINTS[:12, :24] = np.concatenate(
-    [np.kron(np.eye(2), np.kron(basis(s), np.eye(3))) for s in (0.0, 1.0)]
-)
-BY_POINTS[12, 24] = 1.0
-
-
-_basis_at = lru_cache(basis)  # called at a few s only; its arrays are shared
+MOTION_UNKNOWNS = 13
 
 
 @dataclass(frozen=True)
@@ -65,11 +54,13 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Motion:
-    """The egomotion's unknowns in one window; as a vector (25,) w, then v, then speed.
+    """The egomotion's unknowns in one window; like the flow it changes linearly.
+
+    As a vector (13,): w and v at the window's start, at its end, then the speed.
 
     Attributes:
-        w: (4, 3) control points of the angular velocity, rad per window.
-        v: (4, 3) control points of the linear velocity's direction; their mean has unit norm.
+        w: (2, 3) angular velocity at start and end, rad per window.
+        v: (2, 3) direction of the linear velocity; the mean has unit norm.
         speed: distance travelled, over that in the window that the structure is known from.
     """
 
@@ -79,26 +70,26 @@ class Motion:
 
     @classmethod
     def constant(cls, w: Array, v: Array, speed: float = 1.0) -> "Motion":
-        """Build the spline of a constant motion."""
-        return cls(np.tile(w, (CONTROL_POINTS, 1)), np.tile(v, (CONTROL_POINTS, 1)), speed)
+        """Build a motion that does not change."""
+        return cls(np.stack([w, w]), np.stack([v, v]), speed)
 
     @property
     def unknowns(self) -> Array:
-        """All of them, (25,)."""
-        return np.concatenate([self.w.ravel(), self.v.ravel(), [self.speed]])
+        """All of them, (13,)."""
+        return np.append(np.hstack([self.w, self.v]), self.speed)
 
     def at(self, s: float) -> tuple[Array, Array]:
         """Angular velocity (3,) rad per window and unit direction (3,) at s in [0, 1]."""
-        weights = _basis_at(s)
-        v = weights @ self.v
-        return weights @ self.w, v / np.sqrt(v @ v)
+        shares = np.array([1 - s, s])
+        v = shares @ self.v
+        return shares @ self.w, v / np.sqrt(v @ v)
 
     def moved(self, step: Array) -> "Motion":
-        """Add a step (25,) and bring v back to unit scale."""
-        w = self.w + step[:12].reshape(CONTROL_POINTS, 3)
-        v = self.v + step[12:24].reshape(CONTROL_POINTS, 3)
-        mean = v.sum(axis=0) / CONTROL_POINTS
-        return Motion(w, v / np.sqrt(mean @ mean), self.speed + float(step[24]))
+        """Add a step (13,) and bring v back to unit scale."""
+        w, v = np.hsplit(step[:-1].reshape(2, 6), 2)
+        v = self.v + v
+        mean = v.sum(axis=0) / 2
+        return Motion(self.w + w, v / np.sqrt(mean @ mean), self.speed + float(step[-1]))
 
 
 class NodeEpipolar:
@@ -121,7 +112,6 @@ class NodeEpipolar:
         self.a = lens @ a
         self.b = lens @ b
         self.inlier_px = inlier_px
-        self._basis = basis(np.linspace(0, 1, lattice.times))
         # Near the focus of expansion the line's direction is undefined: fade it out there.
         self.px_per_rad = float(np.sqrt(camera.fx * camera.fy))
         self.soft = 1e-3 * self.px_per_rad
@@ -152,11 +142,11 @@ class NodeEpipolar:
         self, flow: Array, motion: Motion
     ) -> tuple[Array, Array, Array, Array, Array, float]:
         """Return flow, a, b, w and v at each time, and `soft`, as `constraints` takes them."""
-        return flow, self.a, self.b, self._basis @ motion.w, self._basis @ motion.v, self.soft
+        return flow, self.a, self.b, motion.w, motion.v, self.soft
 
     def rotational_flow(self, motion: Motion) -> Array:
         """Flow of the motion's rotation, (nodes, times, 2) px per window."""
-        return np.einsum("nij,tj->nti", self.b, self._basis @ motion.w)
+        return np.einsum("nij,tj->nti", self.b, motion.w)
 
     def search(
         self,
@@ -201,8 +191,7 @@ class NodeEpipolar:
             self.b, flow, self._counted(information), self.usable, self.inlier_px,
             2 * LATTICE.reweightings, *known,
         )  # fmt: skip
-        power = LATTICE.rotation_power if sized else 0.0
-        size = power * rotations.size_of_rotation(w, self.px_per_rad)
+        size = rotations.size_of_rotation(w, self.px_per_rad) if sized else 0.0
         return Explanations(np.zeros((1, 3)), w[None], np.array([residual]), np.array([size]))
 
     def _counted(self, information: Array) -> Array:
@@ -217,12 +206,11 @@ class NodeEpipolar:
     ) -> Explanations:
         """Fit w for each v (M, 3) and its field of lines (M, nodes, 2)."""
         flow, information, known = evidence
-        sizes = LATTICE.independent_depths, LATTICE.rotation_power
-        depths, falling = sizes if sized else (0.0, 0.0)
+        depths = LATTICE.independent_depths if sized else 0.0
         found = Explanations(v, np.empty((len(v), 3)), np.empty(len(v)), np.empty(len(v)))
         rotations.best_rotations(
             lines, self.soft, self.b, flow, self._counted(information), self.inlier_px,
-            LATTICE.reweightings, *known, depths, falling, self.px_per_rad,
+            LATTICE.reweightings, *known, depths, self.px_per_rad,
             found.w, found.residual, found.size,
         )  # fmt: skip
         return found

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 
 class LatticeEstimator:
-    """Fits flow lattice and egomotion spline to one window after another (an Estimator).
+    """Fits flow and egomotion to one window after another (an Estimator).
 
     Args:
         camera: with its lens.
@@ -151,13 +151,7 @@ class LatticeEstimator:
         fit.linearise(events, 1.0)
         if self._shows_no_motion(events, self._gain(events)):  # leave out the costly steps
             return None
-        free = fit.free_flow()
-        found = self._epipolar.search(*free.evidence, sized=free.known is None)
-        best = int(found.cost.argmin())
-        fit.motion = Motion.constant(found.w[best], found.v[best])
-        if self._model is MotionModel.ROTATION:
-            fit.start_rotation(self._epipolar.rotation(*free.evidence).w[0])
-        self._reconsider(free)
+        self._reconsider(fit.free_flow())
         return self._refine(events, self.config.cold_iterations, hurry=False)
 
     def _fit_warm(self, events: WindowEvents) -> str:
@@ -209,21 +203,21 @@ class LatticeEstimator:
 
     def _reconsider(self, free: FreeFlow) -> bool:
         """Weigh the motions that explain a flow; return whether the fit must go on with another."""
-        fit, epipolar = self._fit, self._epipolar
-        assert fit.motion is not None
-        middle, present = fit.motion.at(0.5)
+        fit, epipolar, before = self._fit, self._epipolar, self._model
         sized = free.known is None
-        here = epipolar.score(present, *free.evidence, sized=sized)
         others = epipolar.search(*free.evidence, sized=sized)
         rotation = epipolar.rotation(*free.evidence, sized=sized)
+        best = others.at(int(others.cost.argmin()))
+        here, middle, present = best, best.w[0], best.v[0]
+        is_first, guessed = fit.motion is None, before is MotionModel.ROTATION  # v, that is
+        if fit.motion is not None:
+            middle, present = fit.motion.at(0.5)
+            here = epipolar.score(present, *free.evidence, sized=sized)
         softness = temperature(here, others, epipolar.usable, free.seen[1]) if sized else 1.0
-        before, best = self._model, int(others.cost.argmin())
-        guessed = before is MotionModel.ROTATION  # v, that is
         margin = 0.0 if guessed else LATTICE.switch * here.residual[0]
-        switch = bool(others.cost[best] < here.cost[0] - margin)
+        switch = bool(best.cost[0] < here.cost[0] - margin)
         if switch:
-            here = others.at(best)
-            present = here.v[0] if here.v[0] @ present >= 0 else -here.v[0]
+            here, present = best, best.v[0] if best.v[0] @ present >= 0 else -best.v[0]
         if switch or guessed:
             middle = here.w[0]
         self._free = free
@@ -232,12 +226,12 @@ class LatticeEstimator:
         if self.config.model == "auto":
             rotating = rotates(epipolar, free, rotation, here)
             self._model = MotionModel.ROTATION if rotating else MotionModel.FULL
-        changed = self._model is not before
-        if changed or (switch and not guessed):
+        goes_on = is_first or self._model is not before or (switch and not guessed)
+        if goes_on:
             fit.motion = Motion.constant(middle, present)
-        if changed and not guessed:
-            fit.start_rotation(rotation.w[0])
-        return changed or (switch and not guessed)
+            if self._model is MotionModel.ROTATION:
+                fit.start_rotation(rotation.w[0])
+        return goes_on
 
     def _face(self, free: FreeFlow, w: Array, v: Array) -> None:
         """Tell on which side of the camera the scene lies, and let the fit rely on it if it may."""

@@ -6,12 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, basis
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.constraints import add_constraint, add_structure
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.egomotion import (
-    BY_POINTS,
     MOTION_UNKNOWNS,
     Motion,
     NodeEpipolar,
@@ -35,24 +33,10 @@ Array = NDArray[np.float64]
 
 SCALES = (0.25, 0.5, 1.0)
 
-# w and v in the middle of the window from the motion's unknowns, (6, 25).
-_TO_MIDDLE = np.hstack([np.kron(np.eye(2), np.kron(basis(0.5), np.eye(3))), np.zeros((6, 1))])
-_POINTS = 3 * CONTROL_POINTS
-_OF_W, _OF_V = slice(0, _POINTS), slice(_POINTS, 2 * _POINTS)
-# Mean of v's control points over their number, for each point, (12, 25)
-_MEAN_V = np.zeros((_POINTS, MOTION_UNKNOWNS))
-_MEAN_V[:, _OF_V] = (
-    np.kron(np.ones((CONTROL_POINTS, CONTROL_POINTS)), np.eye(3)) / CONTROL_POINTS**2
-)
-
-
-def _roughness(points: slice) -> Array:
-    """Stiffness (25, 25) of a spline's control points against a curvature, and a little a slope."""
-    second = np.diff(np.eye(CONTROL_POINTS), 2, axis=0)
-    first = np.diff(np.eye(CONTROL_POINTS), 1, axis=0)
-    result = np.zeros((MOTION_UNKNOWNS, MOTION_UNKNOWNS))
-    result[points, points] = np.kron(second.T @ second + 0.1 * first.T @ first, np.eye(3))
-    return result
+# Mean and change over the window, (6, 13) each, of w and v from the motion's unknowns
+_MEAN = np.hstack([0.5 * np.eye(6), 0.5 * np.eye(6), np.zeros((6, 1))])
+_CHANGE = np.hstack([-np.eye(6), np.eye(6), np.zeros((6, 1))])
+_OF_W, _OF_V = np.r_[0:3, 6:9], np.r_[3:6, 9:12]
 
 
 @dataclass(frozen=True)
@@ -112,11 +96,12 @@ class LatticeFit:
         self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
         self.step_px = 0.0
-        self._equations = NormalEquations(lattice, len(BY_POINTS))
-        self._smooth_rotation = self._rotation_stiffness * _roughness(_OF_W)
-        self._smooth_translation = config.spline_roughness * _roughness(_OF_V)
-        self._stillness = np.zeros_like(self._smooth_rotation)  # of a camera that does not rotate
-        self._stillness[_OF_W, _OF_W] = INFORMATION_EXCESS * self._of_no_turn * np.eye(_POINTS)
+        self._equations = NormalEquations(lattice, MOTION_UNKNOWNS)
+        of_w, of_v = config.motion_stiffness * np.stack(
+            [change.T @ change for change in np.split(_CHANGE, 2)]
+        )
+        self._smooth_rotation = epipolar.px_per_rad**2 * of_w
+        self._smooth_translation = of_v
 
     @property
     def node_flow(self) -> Array:
@@ -142,8 +127,8 @@ class LatticeFit:
         """Replace the rotation w (3,), rad per window, in a flow by what is known of it."""
         if self.known is None:
             return flow
-        points = self.known.control_points() - w
-        change = self.epipolar.rotational_flow(Motion(points, np.ones_like(points)))
+        ends = self.known.ends() - w
+        change = self.epipolar.rotational_flow(Motion(ends, np.ones_like(ends)))
         return (flow + change.reshape(flow.shape)).astype(np.float32)
 
     def start_rotation(self, w: Array) -> None:
@@ -157,22 +142,23 @@ class LatticeFit:
         epipolar = self.epipolar
         motion = self._require_motion()
         residual = self.node_flow - epipolar.rotational_flow(motion)
-        stiffness = LATTICE.rotation_stiffness * self.config.dec_weight
+        stiffness = LATTICE.stiffer * self.config.dec_weight
         weight = stiffness * epipolar.robust_weight(np.linalg.norm(residual, axis=-1))
         equations = self._equations
+        corner, corner_vector = equations.corner, equations.corner_vector
         for d in range(2):
             part = Residuals.empty(*weight.shape)
             part.r[:] = residual[..., d]
             part.by_flow[:] = np.eye(2)[d]
             part.by_motion[..., :3], part.by_motion[..., 3:] = -epipolar.b[:, None, d], 0.0
             equations.add_rows(part.by_flow, part.by_motion, weight, part.r)
-        corner, corner_vector = equations.corner_of(BY_POINTS)
         corner += self._smooth_rotation
         corner_vector -= self._smooth_rotation @ motion.unknowns
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
-        corner[_POINTS:, _POINTS:] = np.eye(MOTION_UNKNOWNS - _POINTS)  # v is not asked for
-        step, change = equations.solve_bordered(corner, corner_vector, BY_POINTS)
+        not_asked_for = np.append(_OF_V, MOTION_UNKNOWNS - 1)
+        corner[not_asked_for, not_asked_for] = 1.0
+        step, change = equations.solve_bordered()
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -180,7 +166,7 @@ class LatticeFit:
         """Step flow and egomotion together, tied by the epipolar constraint.
 
         Args:
-            prior: what is known of the motion in the middle of the window.
+            prior: what is known of the mean motion over the window.
         """
         motion, epipolar = self._require_motion(), self.epipolar
         at = epipolar.kernel_arguments(self.node_flow, motion)
@@ -195,9 +181,8 @@ class LatticeFit:
                 *at, epipolar.usable, motion.at(0.5)[1], motion.speed, *known, share,
                 *self._equations.parts,
             )  # fmt: skip
-        corner, corner_vector = self._equations.corner_of(BY_POINTS)
-        self._add_motion_priors(motion, prior, corner, corner_vector)
-        step, change = self._equations.solve_bordered(corner, corner_vector, BY_POINTS)
+        self._add_motion_priors(motion, prior)
+        step, change = self._equations.solve_bordered()
         self.motion = motion.moved(change)
         self._move(step)
 
@@ -215,32 +200,23 @@ class LatticeFit:
         """Information on each component of w, rad per window, of a camera that does not rotate."""
         return (self.epipolar.px_per_rad / LATTICE.straight_px) ** 2
 
-    @property
-    def _rotation_stiffness(self) -> float:
-        return self.config.spline_roughness * self.epipolar.px_per_rad**2
-
-    def _add_motion_priors(
-        self, motion: Motion, prior: MotionPrior | None, corner: Array, corner_vector: Array
-    ) -> None:
-        """Add the spline's smoothness, v's scale and what else is known.
-
-        They are added to the second derivatives (25, 25) by the motion's unknowns and to the
-        negative gradient (25,).
-        """
-        unknowns = motion.unknowns
-        # v has no unit of its own: its stiffness goes by the evidence at hand.
-        evidence = float(np.trace(corner[_OF_V, _OF_V])) / _POINTS
+    def _add_motion_priors(self, motion: Motion, prior: MotionPrior | None) -> None:
+        """Add the motion's smoothness, v's scale and what else is known of the motion."""
+        unknowns, mean = motion.unknowns, _MEAN @ motion.unknowns
+        corner, corner_vector = self._equations.corner, self._equations.corner_vector
+        # v has no unit of its own: its stiffness goes by a quarter of the evidence at hand.
+        evidence = float(corner[_OF_V, _OF_V].mean()) / 4
         smooth = self._smooth_rotation + evidence * self._smooth_translation
         if self.config.model == MotionModel.TRANSLATION:
-            smooth += self._stillness
+            smooth[_OF_W, _OF_W] += 2 * INFORMATION_EXCESS * self._of_no_turn
         corner += smooth
         corner_vector -= smooth @ unknowns
-        mean = _MEAN_V @ unknowns
-        corner[_OF_V, _OF_V] += evidence * np.outer(mean, mean)
+        along = mean[3:] @ _MEAN[3:]
+        corner += evidence * np.outer(along, along)
         if prior is not None:
-            known = _TO_MIDDLE.T @ prior.information
-            corner += known @ _TO_MIDDLE
-            corner_vector -= known @ (_TO_MIDDLE @ unknowns - prior.mean)
+            known = _MEAN.T @ prior.information
+            corner += known @ _MEAN
+            corner_vector -= known @ (mean - prior.mean)
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
         diagonal = corner.ravel()[:: MOTION_UNKNOWNS + 1]  # a view

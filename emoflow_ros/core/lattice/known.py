@@ -10,7 +10,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS, GREVILLE
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
@@ -20,16 +19,13 @@ Array = NDArray[np.float64]
 
 INFORMATION_EXCESS = LATTICE.information_excess
 
-
-# Weights of the control points in the spline's coefficients of the first two Legendre polynomials,
-# as of a GyroMeasurement: its mean over the window, and half of the change of its best line.
-_MEAN = np.array([1.0, 11.0, 11.0, 1.0]) / 24
-_SLOPE = np.array([-3.0, -11.0, 11.0, 3.0]) / 40
+# Weights of start and end in the mean over the window, and in half of the change
+_MEAN, _SLOPE = np.array([0.5, 0.5]), np.array([-0.5, 0.5])
 
 
 @dataclass(frozen=True)
 class MotionPrior:
-    """What is known of the motion in the middle of a window.
+    """What is known of the mean motion over a window.
 
     Attributes:
         mean: (6,) w in rad per window, v.
@@ -110,12 +106,8 @@ class Structure:
         source = lattice.pixels - windows * flow
         certain = np.stack([certainty, certainty * self.inverse_depth], axis=-1)
         known, inverse_depth = lattice.interpolate(certain, source).T
-        inverse_depth = inverse_depth / known
-        # A scene that comes closer grows: Z' = Z - v_z.
-        most = LATTICE.most_approach
-        approach = np.clip(windows * inverse_depth * v[2], -most, most)
         inside = ((source >= 0) & (source <= lattice.pixels[-1])).all(axis=-1)
-        return Structure(inverse_depth * (1 + approach), np.where(inside, known, 1e-9))
+        return Structure(inverse_depth / known, np.where(inside, known, 1e-9))
 
 
 def _lines(epipolar: NodeEpipolar, v: Array) -> tuple[Array, Array]:
@@ -172,25 +164,25 @@ class KnownRotation:
         slope = (weight * s) @ w / (weight @ s**2)
         information = INFORMATION_EXCESS * np.linalg.inv(covariance)
         bend = w[len(w) // 2] - mean
-        return cls(mean, information, slope, LATTICE.of_slope * information, bend)
+        return cls(mean, information, slope, information, bend)
 
-    def control_points(self) -> Array:
-        """Build the control points (4, 3) of mean and slope."""
-        return self.mean + np.outer(2 * GREVILLE - 1, self.slope)
+    def ends(self) -> Array:
+        """Angular velocity at the window's start and end, (2, 3)."""
+        return np.stack([self.mean - self.slope, self.mean + self.slope])
 
     def add_to(self, w: Array, corner: Array, corner_vector: Array) -> None:
         """Add it to normal equations.
 
         Args:
-            w: (4, 3) present control points, rad per window.
-            corner: (M, M), the control points' 12 unknowns first.
-            corner_vector: (M,).
+            w: (2, 3) at start and end, at present.
+            corner: (13, 13) of a motion's unknowns.
+            corner_vector: (13,).
         """
-        unknowns = 3 * CONTROL_POINTS
+        of_w = np.r_[0:3, 6:9]
         for weights, known, information in (
             (_MEAN, self.mean, self.information),
             (_SLOPE, self.slope, self.slope_information),
         ):
-            corner[:unknowns, :unknowns] += np.kron(np.outer(weights, weights), information)
+            corner[np.ix_(of_w, of_w)] += np.kron(np.outer(weights, weights), information)
             surprise = information @ (known - weights @ w)
-            corner_vector[:unknowns] += np.kron(weights, surprise)
+            corner_vector[of_w] += np.kron(weights, surprise)

@@ -77,7 +77,7 @@ class Memory:
         w, v = self.motion.at(1.0)
         fit.motion = Motion.constant(w * ratio, v, speed=ratio)
         if fit.known is not None:
-            fit.motion = replace(fit.motion, w=fit.known.control_points())
+            fit.motion = replace(fit.motion, w=fit.known.ends())
         fit.structure = self.structure and self.structure.predict(
             fit.lattice,
             fit.epipolar,

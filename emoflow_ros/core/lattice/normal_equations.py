@@ -95,25 +95,11 @@ class NormalEquations:
             raise NotPositiveDefiniteError
         return step
 
-    def corner_of(self, by_other: Array) -> tuple[Array, Array]:
-        """Corner (p, p) and its vector (p,) for others that the further unknowns depend on.
-
-        Args:
-            by_other: (m, p) derivatives of the further unknowns.
-        """
-        return by_other.T @ self.corner @ by_other, by_other.T @ self.corner_vector
-
-    def solve_bordered(
-        self, corner: Array, corner_vector: Array, by_other: Array
-    ) -> tuple[Array, Array]:
-        """Solve at once, by the Schur complement, for the field and others beside it.
-
-        Args:
-            corner, corner_vector: as `corner_of` gives them, and what else is known of the others.
-            by_other: (m, p) derivatives of the further unknowns by these.
+    def solve_bordered(self) -> tuple[Array, Array]:
+        """Solve at once, by the Schur complement, for the field and what is beside it.
 
         Returns:
-            The steps (n,) and (p,).
+            The steps (n,) and (m,).
 
         Raises:
             NotPositiveDefiniteError: there is no minimum.
@@ -123,9 +109,8 @@ class NormalEquations:
         eliminate(factor, both)
         of_field, across = both[0], both[1:]
         products = across @ both.T
-        marginal = corner - by_other.T @ products[:, 1:] @ by_other
-        _, others, info = dposv(marginal, corner_vector - by_other.T @ products[:, 0])
-        left = of_field - (by_other @ others) @ across
+        _, others, info = dposv(self.corner - products[:, 1:], self.corner_vector - products[:, 0])
+        left = of_field - others @ across
         substitute_back(factor, left)
         if info != 0 or not np.isfinite(left).all():
             raise NotPositiveDefiniteError

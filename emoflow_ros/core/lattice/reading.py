@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.geometry.camera_motion import SplineMotion, basis
+from emoflow_ros.core.geometry.camera_motion import SplineMotion, straight
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.egomotion import Motion, NodeEpipolar
@@ -66,12 +66,11 @@ class EstimateReader:
             w = w + fit.known.bend
         covariance[:3, 3:] *= front
         covariance[3:, :3] *= front
-        length = float(np.linalg.norm(basis(0.5) @ fit.motion.v))
         motion = SplineMotion(
             window.t_start,
             window.t_end,
-            (fit.motion.w + (w - middle)) / window.duration,
-            front * (fit.motion.v + length * (v - present)),
+            straight(fit.motion.w + (w - middle)) / window.duration,
+            front * straight(fit.motion.v + (v - present)),
         )
         return Estimate(
             window.t_start,

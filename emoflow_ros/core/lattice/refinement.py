@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.geometry.camera_motion import CONTROL_POINTS
 from emoflow_ros.core.lattice.egomotion import Motion
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.fit import LatticeFit
@@ -90,15 +89,14 @@ def refined(
     again = copy(fit)
     again.known = KnownRotation.seen(w, of_w)
     again.config = replace(fit.config, dec_weight=LATTICE.stiffer * fit.config.dec_weight)
-    points = again.known.control_points()
+    ends = again.known.ends()
     prior = None
     if estimate.translation_observable:
-        v = np.tile(estimate.linear, (CONTROL_POINTS, 1))
-        again.motion, again.front = Motion(points, v), 1.0
+        again.motion, again.front = Motion(ends, np.stack([estimate.linear] * 2)), 1.0
         again.structure = depths.structure(again.lattice, seconds)
-        prior = _prior(w[_TIMES // 2], estimate, seconds)
+        prior = _prior(again.known.mean, estimate, seconds)
     else:
-        again.motion = replace(fit.motion, w=points)
+        again.motion = replace(fit.motion, w=ends)
     try:
         for _ in range(LATTICE.refining_steps):
             again.linearise(events, 1.0)
@@ -136,7 +134,7 @@ def rotation_by_parts(estimate: Estimate, parts: int) -> Array:
 
 
 def _prior(w: Array, estimate: Estimate, seconds: float) -> MotionPrior:
-    """What is known of (w, v) in the middle of the window."""
+    """What is known of the mean of (w, v) over the window."""
     order = np.r_[3:6, 0:3]
     covariance = estimate.covariance[np.ix_(order, order)].copy()
     covariance[3:, 3:] += np.outer(estimate.linear, estimate.linear)

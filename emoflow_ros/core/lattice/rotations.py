@@ -17,7 +17,7 @@ _compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 @_compiled
 def best_rotations(
     line: F64, soft: float, b: F64, flow: F64, evidence: F64, inlier: float, reweightings: int,
-    known: F64, information: F64, depths: float, falling: float, px_per_rad: float,
+    known: F64, information: F64, depths: float, px_per_rad: float,
     w: F64, residual: F64, size: F64,
 ) -> None:  # fmt: skip
     """Fit a rotation to each field of epipolar lines: robust least squares in n . (u - b w).
@@ -26,7 +26,7 @@ def best_rotations(
     u - b w, not the part across the line alone: no depth explains it. v's sign is the one that
     makes this cheaper. The size of both parts of the flow has a cost of its own (docs/method.md):
 
-        depths sum weight [ln(1 + e) + q^2 / (var (1 + e))] + falling ln(|w|^2 f^2 + least^2)
+        depths sum weight [ln(1 + e) + q^2 / (var (1 + e))] + ln(|w|^2 f^2 + least^2)
 
     with q the translational flow along the lines, var its variance, e var the variance that depths
     of an unknown common scale give it, and f the focal length.
@@ -41,8 +41,7 @@ def best_rotations(
         reweightings: least squares solutions.
         known: (3,) what w is expected to be.
         information: (3, 3) of that; zero where nothing is known.
-        depths: independent depths per node.
-        falling: the power of |w| that a rotation's probability falls with.
+        depths: independent depths per node; 0 leaves the size of both parts out.
         px_per_rad: focal length.
         w: (M, 3), written.
         residual, size: (M,) costs, written.
@@ -86,7 +85,9 @@ def best_rotations(
                 moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX**2)
                 reach += weight[n] * of_length[n] * squared[n]
             share, scale = depths, moved / reach
-            shrinking = falling / (w0 * w0 + w1 * w1 + w2 * w2 + (_LEAST_FLOW_PX / px_per_rad) ** 2)
+            if depths > 0:
+                least = (_LEAST_FLOW_PX / px_per_rad) ** 2
+                shrinking = 1 / (w0 * w0 + w1 * w1 + w2 * w2 + least)
         ahead, behind, sizes = 0.0, 0.0, 0.0
         for n in range(nodes):
             r, q = side[n], length[n]
@@ -102,7 +103,9 @@ def best_rotations(
                 excess = of_length[n] * scale * squared[n]
                 sizes += weight[n] * (np.log(1 + excess) + of_length[n] * q * q / (1 + excess))
         residual[m] = min(ahead, behind) + _surprise(w[m] - known, information)
-        size[m] = depths * sizes + falling * size_of_rotation(w[m], px_per_rad)
+        size[m] = 0.0
+        if depths > 0:
+            size[m] = depths * sizes + size_of_rotation(w[m], px_per_rad)
 
 
 @_compiled

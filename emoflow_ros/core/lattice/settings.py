@@ -36,7 +36,6 @@ class LatticeSettings:
         steps_after_change: further steps where motion model or direction have changed.
         on_one_side: agreement on the sign of v from which the fit relies on it.
         switch: share of the present residual cost by which another direction must be cheaper.
-        rotation_stiffness: times dec_weight: a rotation leaves the flow no freedom of its own.
         straight_px: flow of rotation that a camera which does not rotate may have, px per window.
         structure_trust: share of the information on earlier depths: errors of neighbouring nodes go
             together.
@@ -46,14 +45,11 @@ class LatticeSettings:
             because errors of events are not independent: many come from one edge, and the lattice
             smooths their errors into each other.
         flow_error_px: systematic error of a node's flow, the same in many windows, px.
-        most_approach: approach that moves depths on, depths per window.
         slope_error: standard deviation that is added to half of the change of w by a gyro, rad/s.
-        of_slope: information on half of w's change over that on its mean, where the memory gives w.
         least_flow_px: flow that cannot be told from zero, px per window.
         directions: number of directions of v over the hemisphere, about 16 degrees apart.
         reweightings: number of solutions for each direction; twice as many for a rotation alone.
         independent_depths: number per node: it says how much likelier a motion of less flow is.
-        rotation_power: power of |w| that the probability of a rotation falls with.
         rotation_share: of the flow, that a pure rotation may leave at half of the nodes.
         freedom: factor by which a depth for each node lowers the cost of such a flow anyway.
         lasting_px2: variance of a node's flow that more events do not reduce, px^2 per window^2: of
@@ -81,7 +77,8 @@ class LatticeSettings:
         few_events, third_events: number of events of a third of a window that tell something of it,
             and that are enough.
         refining_steps: of the second fit, at full resolution.
-        stiffer: weight of its epipolar constraint over that of the first fit.
+        stiffer: weight of its epipolar constraint over dec_weight; and that of a rotation, which
+            leaves the flow no freedom of its own.
         spread: standard deviation of the distance from a node to patches that count for its depth,
             in spacings.
         own_sd: of one patch's depth, over the depth.
@@ -93,9 +90,8 @@ class LatticeSettings:
         beyond: factor by which inverse depths between points may lie beyond the known ones.
         blend_px: standard deviation of the distance within which contrasts of two flows are
             compared, px.
-        blend_power, blend_bias: the share of the other flow is the logistic function of so many
-            times the logarithm of its contrast over the lattice's, less the bias where there is
-            contrast.
+        blend_power: the share of the other flow is the logistic function of so many times the
+            logarithm of its contrast over the lattice's.
     """
 
     longer_side_px: int = 346
@@ -116,20 +112,16 @@ class LatticeSettings:
     steps_after_change: int = 3
     on_one_side: float = 0.5
     switch: float = 0.2
-    rotation_stiffness: float = 10.0
     straight_px: float = 0.1
     structure_trust: float = 0.3
     structure_inlier_px: float = 1.0
     information_excess: float = 10.0
     flow_error_px: float = 0.15
-    most_approach: float = 0.2
     slope_error: float = 1e-3
-    of_slope: float = 0.3
     least_flow_px: float = 0.3
     directions: int = 80
     reweightings: int = 4
     independent_depths: float = 0.02
-    rotation_power: float = 1.0
     rotation_share: float = 0.06
     freedom: float = 4.5
     lasting_px2: float = 0.4
@@ -163,7 +155,6 @@ class LatticeSettings:
     beyond: float = 2.0
     blend_px: float = 16.0
     blend_power: float = 8.0
-    blend_bias: float = 1.0
 
 
 LATTICE = LatticeSettings()

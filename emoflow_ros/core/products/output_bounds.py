@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.uncertainty import without_translation
-from emoflow_ros.core.types.estimate import PresentTwist
+from emoflow_ros.core.types.twist import PresentTwist
 
 
 @dataclass(frozen=True)

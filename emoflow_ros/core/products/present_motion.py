@@ -26,17 +26,10 @@ from emoflow_ros.core.products.motion_prior import HeldMotion, Known
 from emoflow_ros.core.products.present_scene import SeenScene, measured
 from emoflow_ros.core.products.settings import PRESENT, STREAM
 from emoflow_ros.core.stream.cleaning import clean
-from emoflow_ros.core.types.estimate import (
-    Estimate,
-    FlowSampler,
-    PresentTwist,
-    SpeedBound,
-    Status,
-    Twist,
-    velocity_at,
-)
+from emoflow_ros.core.types.estimate import Estimate, FlowSampler, SpeedBound, Status, velocity_at
 from emoflow_ros.core.types.events import NS_PER_S, Window
 from emoflow_ros.core.types.gyro import GyroReadings, GyroState
+from emoflow_ros.core.types.twist import PresentTwist, Twist
 
 Array = NDArray[np.float64]
 
@@ -94,7 +87,7 @@ class PresentMotion:
         by_gyro = scene.change_by_gyro(gyro, middle)
         if scene.known is None and not _is_fresh(window):
             by_gyro = None
-        drift, change = self._drift.copy(), np.zeros(6)
+        drift, change = scene.drift.copy(), np.zeros(6)
         since = max(0, middle - scene.t) / NS_PER_S
         if by_gyro is None:
             change[:3], variance = scene.predicted_change(middle), 0.0
@@ -118,7 +111,7 @@ class PresentMotion:
             late = max(0.0, at_end[1] - by_gyro[1] - PRESENT.live_gap)
             covariance[:3, :3] += late * np.eye(3)
         elif by_gyro is not None:  # its readings end before now
-            drift = self._drift
+            drift = scene.drift
             covariance[:3, :3] += unforeseen
             change[:3] += ahead
         elif fitted:
@@ -166,6 +159,9 @@ class PresentMotion:
         known = None
         if estimate.flow is not None:
             known = self._shown(estimate.flow, t, fitted.angular(t), v)
+        drift, walk = self._drift.copy(), estimate.angular_walk
+        if walk is not None:
+            drift[:3] = PRESENT.of_walk * walk
         used = estimate.gyro.state is GyroState.USED
         return SeenScene(
             t=t,
@@ -174,6 +170,7 @@ class PresentMotion:
             motion=np.concatenate([w, v]),
             angular_acceleration=change * (NS_PER_S / length),
             covariance=motion_covariance(estimate, v),
+            drift=drift,
             known=known,
             translates=estimate.translation_observable,
             gyro=measured(gyro, t) if used else None,

@@ -26,6 +26,7 @@ class SeenScene:
         motion: (6,) w in rad/s and the unit direction v.
         angular_acceleration: (3,) mean over the window, rad/s^2.
         covariance: (6, 6) of the motion.
+        drift: (6,) variance of its change per s.
         known: the scene; None where the window had no flow.
         translates: whether v is known.
         gyro: what the gyro measures around t, or None.
@@ -39,6 +40,7 @@ class SeenScene:
     motion: Array
     angular_acceleration: Array
     covariance: Array
+    drift: Array
     known: KnownScene | None
     translates: bool
     gyro: Shape | None

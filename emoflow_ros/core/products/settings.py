@@ -91,6 +91,7 @@ class PresentSettings:
             may have changed much.
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
+        of_walk: variance of w's change over that of the random walk that windows have shown.
         of_window, of_fit: the covariance of w now is that of the window's w and that of its change
             by the slice, times these, and that of a random walk from the slice's middle on.
         least_since_s: time at least in which a change that was not expected came about, s: the walk
@@ -110,6 +111,7 @@ class PresentSettings:
     fewest_events: int = 300
     steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
+    of_walk: float = 4.0
     of_window: float = 3.2
     of_fit: float = 0.05
     least_since_s: float = 0.02

@@ -118,28 +118,29 @@ def test_they_go_on_node_by_node():
     assert shorter[1].position.tolist() == rival.position[1:].tolist()
 
 
-def test_the_rival_is_tried_again_or_else_the_reversed_way(found: Adjusted):
+def test_the_rival_is_tried_again(found: Adjusted):
     rival = way(W, np.array([0.0, 0.3, 0.0]))
     measured = (Measured(int(T[0]), int(T[2]), W, np.eye(3), V),)
-    back = replace(BACK, slices=NODES)  # the memory is full
-    for before, expected in (
-        (Hypotheses((found.x, rival), np.array([0.6, 0.4])), rival),
-        (Hypotheses((found.x,), np.ones(1)), reversed_(found.x)),
-    ):
-        tried = starts(T, found.x, measured, before, 3, back)
-        assert len(tried) == 3  # as measured, that, and one direction
-        assert tried[1].velocity.tolist() == expected.velocity.tolist()
-        assert tried[1].position.tolist() == expected.position.tolist()
-        assert tried[1].inverse_depth.tolist() == [1.0] * PATCHES  # looked for anew
+    back = replace(BACK, directions_at=())  # the memory is full
+    alone, both = Hypotheses((found.x,), np.ones(1)), Hypotheses((found.x, rival), np.full(2, 0.5))
+    assert len(starts(T, found.x, measured, alone, back)) == 1  # as measured
+    tried = starts(T, found.x, measured, both, back)
+    assert len(tried) == 2
+    assert tried[1].velocity.tolist() == rival.velocity.tolist()
+    assert tried[1].position.tolist() == rival.position.tolist()
+    assert tried[1].inverse_depth.tolist() == [1.0] * PATCHES  # looked for anew
 
 
-def test_every_direction_has_its_turn(found: Adjusted):
-    before, back = Hypotheses((found.x,), np.ones(1)), replace(BACK, slices=NODES)
-    tried = np.array([starts(T, found.x, (), before, k, back)[-1].velocity[0] for k in range(18)])
+def test_at_first_and_now_and_then_all_directions_are_tried(found: Adjusted):
+    before, now = Hypotheses((found.x,), np.ones(1)), replace(BACK, directions_at=(NODES,))
+    tried = np.array([x.velocity[0] for x in starts(T, found.x, (), before, now)])
+    assert len(tried) == 18
     assert np.linalg.norm(tried, axis=1) == pytest.approx(BACK.start_speed)
     cosines = tried @ tried.T / BACK.start_speed**2 - 2 * np.eye(18)
     assert cosines.max() < np.cos(np.radians(30))
-    assert len(starts(T, found.x, (), None, 0, back)) == 18  # at once at first
+    never = replace(BACK, directions_at=())
+    assert starts(T, found.x, (), before, never) == []
+    assert len(starts(T, found.x, (), None, never)) == 18
 
 
 def test_where_guesses_led_to_is_told():

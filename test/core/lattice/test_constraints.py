@@ -12,14 +12,14 @@ from motion_fields import (
 )
 
 from emoflow_ros.core.lattice.constraints import add_constraint, add_structure
-from emoflow_ros.core.lattice.egomotion import BY_POINTS, Motion, Residuals
+from emoflow_ros.core.lattice.egomotion import MOTION_UNKNOWNS, Motion, Residuals
 from emoflow_ros.core.lattice.normal_equations import NormalEquations
 
 STIFFNESS, SHARE = 3.0, 1.5
 
 
 def equations_of(*terms: tuple[Residuals, np.ndarray]) -> NormalEquations:
-    equations = NormalEquations(LATTICE, len(BY_POINTS))
+    equations = NormalEquations(LATTICE, MOTION_UNKNOWNS)
     for found, weight in terms:
         equations.add_rows(found.by_flow, found.by_motion, weight, found.r)
     return equations
@@ -50,7 +50,7 @@ def scene(epipolar, usable):
     )
     flow[::5] *= -1
     flow[~usable] = 1e4
-    motion = Motion(w + rng.normal(scale=0.01, size=(4, 3)), v + 0.2 * rng.normal(size=(4, 3)), 1.3)
+    motion = Motion(w + rng.normal(scale=0.01, size=(2, 3)), v + 0.2 * rng.normal(size=(2, 3)), 1.3)
     return flow, motion, inverse_depth
 
 

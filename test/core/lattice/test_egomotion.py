@@ -11,8 +11,7 @@ from motion_fields import (
 )
 
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.geometry.camera_motion import basis
-from emoflow_ros.core.lattice.egomotion import BY_POINTS, MOTION_UNKNOWNS, Motion, NodeEpipolar
+from emoflow_ros.core.lattice.egomotion import MOTION_UNKNOWNS, Motion, NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
 
 
@@ -31,12 +30,11 @@ def test_motion_field_in_pixels_is_that_of_moving_points(lens, epipolar):
 def test_residuals_vanish_on_the_motion_field(epipolar):
     """Motions that change within the window, too."""
     rng = np.random.default_rng(2)
-    weights = basis(np.linspace(0, 1, LATTICE.times))
     for v, w, inverse_depth in random_motions(2):
-        motion = Motion(w + rng.normal(scale=0.01, size=(4, 3)), v + 0.3 * rng.normal(size=(4, 3)))
+        motion = Motion(w + rng.normal(scale=0.01, size=(2, 3)), v + 0.3 * rng.normal(size=(2, 3)))
         fields = [
             motion_field(epipolar, v_t, w_t, inverse_depth)
-            for v_t, w_t in zip(weights @ motion.v, weights @ motion.w, strict=True)
+            for v_t, w_t in zip(motion.v, motion.w, strict=True)
         ]
         assert np.abs(epipolar.residuals(np.stack(fields, 1), motion).r).max() < 1e-10
 
@@ -57,7 +55,7 @@ def test_residual_is_the_distance_to_the_epipolar_line(epipolar):
 def test_derivatives_of_the_residuals(epipolar, kind):
     rng = np.random.default_rng(30)
     v, w, inverse_depth = next(random_motions(3))
-    motion = Motion(w + rng.normal(scale=0.01, size=(4, 3)), v + 0.2 * rng.normal(size=(4, 3)), 1.3)
+    motion = Motion(w + rng.normal(scale=0.01, size=(2, 3)), v + 0.2 * rng.normal(size=(2, 3)), 1.3)
     flow = motion_field(epipolar, v, w, inverse_depth)[:, None] + rng.normal(
         size=(NODES, LATTICE.times, 2)
     )
@@ -74,14 +72,14 @@ def test_derivatives_of_the_residuals(epipolar, kind):
         np.testing.assert_allclose(linearised.by_flow @ step / h, slope, atol=1e-7)
     for step in h * np.eye(MOTION_UNKNOWNS):
         ahead, behind = (
-            residuals(flow, Motion(motion.w + sign * step[:12].reshape(4, 3),
-                                   motion.v + sign * step[12:24].reshape(4, 3),
-                                   motion.speed + sign * step[24])).r
+            residuals(flow, Motion(motion.w + sign * step[:-1].reshape(2, 6)[:, :3],
+                                   motion.v + sign * step[:-1].reshape(2, 6)[:, 3:],
+                                   motion.speed + sign * step[-1])).r
             for sign in (1, -1)
         )  # fmt: skip
-        by_ends = BY_POINTS @ step / h
+        unit = step / h
         slope = np.stack(
-            [linearised.by_motion[:, q] @ np.append(by_ends[6 * q : 6 * q + 6], by_ends[12])
+            [linearised.by_motion[:, q] @ np.append(unit[6 * q : 6 * q + 6], unit[12])
              for q in (0, 1)], axis=1,
         )  # fmt: skip
         size = 1 + np.abs(slope).max()
@@ -101,10 +99,10 @@ def test_structure_residuals_vanish_for_the_true_depth_and_speed(epipolar):
 
 
 def test_rotational_flow(epipolar):
-    w = np.random.default_rng(4).normal(size=(4, 3))
-    flow = epipolar.rotational_flow(Motion(w, np.ones((4, 3))))
-    for q, s in enumerate(np.linspace(0, 1, LATTICE.times)):
-        np.testing.assert_allclose(flow[:, q], epipolar.b @ (basis(s) @ w))
+    w = np.random.default_rng(4).normal(size=(2, 3))
+    flow = epipolar.rotational_flow(Motion(w, np.ones((2, 3))))
+    for q in range(LATTICE.times):
+        np.testing.assert_allclose(flow[:, q], epipolar.b @ w[q])
 
 
 def test_robust_weights_fall_from_one_to_a_quarter_and_on(epipolar):
@@ -130,11 +128,13 @@ def test_nodes_beyond_the_lens_are_left_out():
     np.testing.assert_array_equal(weights[~epipolar.usable], 0)
 
 
-def test_motion_moves_by_its_control_points_and_keeps_the_scale_of_v():
+def test_motion_moves_by_its_ends_and_keeps_the_scale_of_v():
     w, v = np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.8])
     motion = Motion.constant(w, v)
     np.testing.assert_allclose(motion.at(0.3), [w, v])
-    moved = motion.moved(np.concatenate([np.full(12, 0.5), 2 * motion.v.ravel(), [0.25]]))
-    np.testing.assert_allclose(moved.at(0.8), [w + 0.5, v])
+    step = np.append(np.hstack([[[0.5] * 3, [0.0] * 3], 2 * motion.v]), 0.25)
+    moved = motion.moved(step)
+    np.testing.assert_allclose(moved.at(0.8), [w + [0.1] * 3, v])
+    np.testing.assert_array_equal(motion.moved(motion.unknowns).w, 2 * motion.w)
     assert (motion.speed, moved.speed) == (1.0, 1.25)
     assert np.linalg.norm(moved.v.mean(axis=0)) == pytest.approx(1)

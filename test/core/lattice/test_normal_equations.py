@@ -11,7 +11,6 @@ from emoflow_ros.core.lattice.normal_equations import NormalEquations, NotPositi
 LATTICE = Lattice(60, 50, 4, 3, 2)
 N = LATTICE.unknowns
 BORDER = 7  # three at each of two times, and one more
-OTHERS = 9
 NOTHING = Cells.empty(LATTICE.columns, LATTICE.rows)
 
 
@@ -46,11 +45,6 @@ def add_border(equations, rng):
     equations.corner_vector[:] = rng.normal(size=BORDER)
 
 
-def solve_bordered(equations):
-    """The others are the further unknowns themselves."""
-    return equations.solve_bordered(*equations.corner_of(np.eye(BORDER)), np.eye(BORDER))
-
-
 def test_solve_is_the_dense_solution_and_keeps_the_equations(equations):
     band, vector = equations.band.copy(), equations.vector.copy()
     expected = np.linalg.solve(dense(band), vector)
@@ -61,15 +55,11 @@ def test_solve_is_the_dense_solution_and_keeps_the_equations(equations):
 
 def test_bordered_solution_is_that_of_the_full_system(equations):
     add_border(equations, np.random.default_rng(2))
-    by_other = np.random.default_rng(3).normal(size=(BORDER, OTHERS))
-    corner, corner_vector = equations.corner_of(by_other)
-    np.testing.assert_allclose(corner, by_other.T @ equations.corner @ by_other)
-    np.testing.assert_allclose(corner_vector, by_other.T @ equations.corner_vector)
-    corner += 1e4 * np.eye(OTHERS)  # known from elsewhere
-    across = equations.border @ by_other
-    full = np.block([[dense(equations.band), across], [across.T, corner]])
-    expected = np.linalg.solve(full, np.concatenate([equations.vector, corner_vector]))
-    step, others = equations.solve_bordered(corner, corner_vector, by_other)
+    equations.corner += 1e4 * np.eye(BORDER)  # known from elsewhere
+    border = equations.border
+    full = np.block([[dense(equations.band), border], [border.T, equations.corner]])
+    expected = np.linalg.solve(full, np.append(equations.vector, equations.corner_vector))
+    step, others = equations.solve_bordered()
     np.testing.assert_allclose(step, expected[:N], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(others, expected[N:], rtol=1e-8, atol=1e-10)
 
@@ -78,7 +68,7 @@ def test_a_border_of_nothing_changes_nothing(equations):
     expected = equations.solve()
     equations.corner[:] = 2 * np.eye(BORDER)
     equations.corner_vector[:] = np.arange(BORDER)
-    step, further = solve_bordered(equations)
+    step, further = equations.solve_bordered()
     np.testing.assert_allclose(step, expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(further, np.arange(BORDER) / 2)
 
@@ -161,13 +151,13 @@ def test_no_minimum_is_an_error(equations):
         equations.solve()
     add_border(equations, np.random.default_rng(5))
     with pytest.raises(NotPositiveDefiniteError):
-        solve_bordered(equations)
+        equations.solve_bordered()
 
 
 def test_a_singular_corner_is_an_error(equations):
     equations.corner_vector[:] = 1.0
     with pytest.raises(NotPositiveDefiniteError):
-        solve_bordered(equations)
+        equations.solve_bordered()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -177,10 +167,10 @@ def test_values_that_are_not_finite_are_an_error(equations, bad):
         equations.solve()
     add_border(equations, np.random.default_rng(6))
     with pytest.raises(NotPositiveDefiniteError):
-        solve_bordered(equations)
+        equations.solve_bordered()
 
 
 def test_a_saddle_is_no_minimum(equations):
     equations.corner[:] = -np.eye(BORDER)
     with pytest.raises(NotPositiveDefiniteError):
-        solve_bordered(equations)
+        equations.solve_bordered()

@@ -98,12 +98,3 @@ def test_prediction_of_nothing_is_nothing():
     predicted = predict(Structure(RELIEF, np.zeros(NODES)))
     assert (predicted.information < 1e-8).all()
     assert np.isfinite(predicted.inverse_depth).all()
-
-
-@pytest.mark.parametrize(("v", "sign"), [(FORWARD, 1), (-FORWARD, -1), (SIDEWAYS, 0)])
-def test_a_scene_that_comes_closer_grows(v, sign):
-    """Inverse depth 1 / Z becomes 1 / (Z - windows v_z), to first order."""
-    inverse_depth = np.full(NODES, 0.05)
-    structure = Structure(inverse_depth, np.full(NODES, 1e4))
-    predicted = predict(structure, windows=2.0, v=v)
-    np.testing.assert_allclose(predicted.inverse_depth, 1 / (20 - 2.0 * sign), rtol=0.02)

@@ -7,7 +7,7 @@ import pytest
 
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.output_bounds import OutputBounds
-from emoflow_ros.core.types.estimate import PresentTwist, Twist
+from emoflow_ros.core.types.twist import PresentTwist, Twist
 
 V, W = np.array([0.0, 0.6, 0.8]), np.array([0.1, 0.2, 0.3])
 

@@ -40,17 +40,17 @@ def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
     present.know(estimate)
     t = estimate.t_end + LATE_NS
     found = present.estimate(its.slice(t))
-    assert found is not None and estimate.motion is not None
+    assert found is not None and estimate.motion is not None and estimate.angular_walk
     angular, end = estimate.motion.angular, estimate.t_end - 5 * NS_PER_MS
-    slope = (angular(estimate.t_end) - angular(estimate.t_start)) / (
-        (estimate.t_end - estimate.t_start) / NS_PER_S
-    )
-    told = angular(end) + slope * 0.06 * (1 - np.exp(-(t - end) / (0.06 * NS_PER_S)))
+    length = (estimate.t_end - estimate.t_start) / NS_PER_S
+    slope, fades = (angular(estimate.t_end) - angular(estimate.t_start)) / length, min(0.06, length)
+    told = angular(end) + slope * fades * (1 - np.exp(-(t - end) / (fades * NS_PER_S)))
     change = found.twist.angular - told
-    seconds = (t - SLICE_NS // 2 - end) / NS_PER_S
-    square = change @ change / 3 * (SLICE_NS / 2 / NS_PER_S) / seconds
+    rest = min(length, SLICE_NS / NS_PER_S) / 2
+    seconds = (t - end) / NS_PER_S - rest
+    square = change @ change / 3 * rest / seconds
     of_fit = found.covariance[3:, 3:] - 3.2 * estimate.covariance[3:, 3:] - square * np.eye(3)
-    before = estimate.covariance[3:, 3:] + np.radians(60.0) ** 2 * seconds * np.eye(3)
+    before = estimate.covariance[3:, 3:] + 4 * estimate.angular_walk * seconds * np.eye(3)
     assert np.linalg.eigvalsh(of_fit).min() > 0
     assert np.linalg.eigvalsh(0.05 * before - of_fit).min() > 0  # the slice told something
     assert square > np.radians(1) ** 2
@@ -117,10 +117,13 @@ def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
     assert [found is not None for found in after_ms] == [False, True, False]
 
 
-def test_where_few_events_come_the_motion_goes_on_as_a_random_walk() -> None:
+@pytest.mark.parametrize("walk", [0.05, None])
+def test_where_few_events_come_the_motion_goes_on_as_a_random_walk(walk: float | None) -> None:
+    """Four times as fast as the windows have shown, or as the options say."""
     its, estimate = last("calm")
+    assert estimate.angular_walk is not None
     present = its.present()
-    present.know(replace(estimate, bound=None))
+    present.know(replace(estimate, bound=None, angular_walk=walk))
     window = its.slice(estimate.t_end + LATE_NS)
     more, few = (replace(window, events=spread(window.events, n)) for n in (3_000, 250))
     fitted, carried = present.estimate(more), present.estimate(few)
@@ -128,7 +131,8 @@ def test_where_few_events_come_the_motion_goes_on_as_a_random_walk() -> None:
     assert fitted is not None and carried is not None and scene is not None
     expected = scene.motion[:3] + scene.predicted_change(window.t_end)
     np.testing.assert_allclose(carried.twist.angular, expected)
-    drift = np.radians(60.0) ** 2 * (window.t_end - scene.t) / NS_PER_S
+    per_s = 4 * walk if walk else np.radians(60.0) ** 2
+    drift = per_s * (window.t_end - scene.t) / NS_PER_S
     grown = np.diag(carried.covariance - estimate.covariance)[3:]
     np.testing.assert_allclose(grown, drift, rtol=1e-9)
     assert np.trace(fitted.covariance[3:, 3:]) < np.trace(carried.covariance[3:, 3:])

@@ -5,8 +5,9 @@ import pytest
 from present_runs import CONFIG, LATE_NS, SLICE_NS
 
 from emoflow_ros.core.products.present_motion import PresentMotion
-from emoflow_ros.core.types.estimate import Estimate, PresentTwist, Status
+from emoflow_ros.core.types.estimate import Estimate, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Window, WindowSlicer
+from emoflow_ros.core.types.twist import PresentTwist
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.simulation import recording as simulation
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate

@@ -1,6 +1,6 @@
 import pytest
 
-from emoflow_ros.core.types.estimate import SpeedLog
+from emoflow_ros.core.types.twist import SpeedLog
 
 MS = 1_000_000
 START = 1_500_000_000_123_456_789

@@ -3,16 +3,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from emoflow_ros.core.geometry.camera_motion import SplineMotion
-from emoflow_ros.core.types.estimate import (
-    Estimate,
-    MotionModel,
-    Quality,
-    Status,
-    Twist,
-    at_middle,
-    covariance_at_speed,
-    covariance_in_frame,
-)
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
+from emoflow_ros.core.types.twist import Twist, at_middle, covariance_at_speed, covariance_in_frame
 
 MS = 1_000_000
 START = 1_500_000_000_123_456_789
