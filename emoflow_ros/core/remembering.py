@@ -246,9 +246,7 @@ class RememberingEstimator:
             motion=told,
             angular_walk=state.walks.angular,
         )
-        flow = estimate.flow
-        if (state.t[-1] - state.t[0]) / NS_PER_S >= back.settled_s:
-            flow = self._refined(estimate, told, state, variance)
+        flow = self._refined(estimate, told, state, variance)
         if isinstance(flow, LatticeFlow):
             flow = self._bent(flow, told)
         return replace(estimate, flow=flow)

@@ -71,7 +71,7 @@ class BackEndSettings:
         angular_walk_deg, velocity_walk: random walk of angular velocity, deg/s per square root of
             a second, and of velocity, 1/s per square root of a second, before anything is known.
         learning: share of the newest evidence in what is learnt of them.
-        angular_walks_deg, velocity_walks: least and largest of them.
+        least_angular_walk_deg, least_velocity_walk: never less: a camera at rest will move.
         speed_sd: standard deviation of each component of the velocity, 1/s.
         depth_sd: of an inverse depth around the mean one.
         depths: least and largest inverse depth.
@@ -97,7 +97,6 @@ class BackEndSettings:
         expected_cost: mean robust cost of an observation where the covariance is right.
         errors: how far a motion is to be believed.
         widest_direction_deg: standard deviation of a direction that is reported, deg.
-        settled_s: that the nodes reach back before the flow is fitted again with their motion, s.
         steps: of the adjustment at most.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
     """
@@ -110,8 +109,8 @@ class BackEndSettings:
     angular_walk_deg: float = 40.0
     velocity_walk: float = 1.5
     learning: float = 0.3
-    angular_walks_deg: tuple[float, float] = (10.0, 400.0)
-    velocity_walks: tuple[float, float] = (0.3, 5.0)
+    least_angular_walk_deg: float = 3.0
+    least_velocity_walk: float = 0.1
     speed_sd: float = 2.0
     depth_sd: float = 2.0
     depths: tuple[float, float] = (0.01, 20.0)
@@ -132,7 +131,6 @@ class BackEndSettings:
     expected_cost: float = 0.25
     errors: ErrorLaw = ErrorLaw()
     widest_direction_deg: float = 60.0
-    settled_s: float = 0.3
     steps: int = 5
     guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
 

@@ -44,15 +44,14 @@ class Walks:
         every = np.zeros((NODE * nodes,) * 2)
         every[np.ix_(adjusted.free, adjusted.free)] = adjusted.covariance
         blocks = every.reshape(nodes, NODE, nodes, NODE)
-        low, high = np.radians(settings.angular_walks_deg) ** 2
         angular = _step(adjusted.x.angular, blocks[:, 6:9, :, 6:9], float(seconds.sum()))
-        angular = _mixed(self.angular, angular, settings)
+        least = float(np.radians(settings.least_angular_walk_deg)) ** 2
+        angular = max(_mixed(self.angular, angular, settings), least)
         if not adjusted.translates:
-            return Walks(float(np.clip(angular, low, high)), self.velocity)
+            return Walks(angular, self.velocity)
         velocity = _step(adjusted.x.velocity, blocks[:, 9:, :, 9:], float(seconds.sum()))
         velocity = _mixed(self.velocity, velocity, settings)
-        slow, fast = np.square(settings.velocity_walks)
-        return Walks(float(np.clip(angular, low, high)), float(np.clip(velocity, slow, fast)))
+        return Walks(angular, max(velocity, settings.least_velocity_walk**2))
 
 
 def _step(values: Array, covariance: Array, seconds: float) -> float:

@@ -111,7 +111,7 @@ class PresentSettings:
     fewest_events: int = 300
     steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
-    of_walk: float = 4.0
+    of_walk: float = 8.0
     of_window: float = 3.2
     of_fit: float = 0.05
     least_since_s: float = 0.02

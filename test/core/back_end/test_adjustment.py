@@ -194,6 +194,17 @@ def test_walks_are_learnt_from_restless_and_from_steady_motion():
         assert np.sqrt(walks.angular) == pytest.approx(walk, rel=0.35)
 
 
+def test_the_restlessness_of_a_camera_at_rest_does_not_vanish():
+    settings, t = BackEndSettings(), np.arange(12) * 60_000_000
+    x, free = along(t, np.zeros((12, 3)), np.zeros((12, 3)), np.ones(1)), np.arange(12 * NODE)
+    known, walks = Adjusted(x, 0.0, np.zeros(1), 1e9 * np.eye(144), free, True), None
+    for _ in range(40):
+        walks = (walks or Walks.unknown(settings)).learnt(known, np.diff(t) * 1e-9, settings)
+    assert walks is not None
+    assert np.degrees(np.sqrt(walks.angular)) == pytest.approx(3)
+    assert np.sqrt(walks.velocity) == pytest.approx(0.1)
+
+
 def test_the_mean_cost_is_one_where_all_is_right_and_more_where_places_do_not_fit():
     settings = BackEndSettings()
     good, bad = (

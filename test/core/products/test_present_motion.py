@@ -50,7 +50,7 @@ def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
     seconds = (t - end) / NS_PER_S - rest
     square = change @ change / 3 * rest / seconds
     of_fit = found.covariance[3:, 3:] - 3.2 * estimate.covariance[3:, 3:] - square * np.eye(3)
-    before = estimate.covariance[3:, 3:] + 4 * estimate.angular_walk * seconds * np.eye(3)
+    before = estimate.covariance[3:, 3:] + 8 * estimate.angular_walk * seconds * np.eye(3)
     assert np.linalg.eigvalsh(of_fit).min() > 0
     assert np.linalg.eigvalsh(0.05 * before - of_fit).min() > 0  # the slice told something
     assert square > np.radians(1) ** 2
@@ -119,7 +119,7 @@ def test_an_old_window_and_one_from_later_tell_nothing_of_now() -> None:
 
 @pytest.mark.parametrize("walk", [0.05, None])
 def test_where_few_events_come_the_motion_goes_on_as_a_random_walk(walk: float | None) -> None:
-    """Four times as fast as the windows have shown, or as the options say."""
+    """Eight times as fast as the windows have shown, or as the options say."""
     its, estimate = last("calm")
     assert estimate.angular_walk is not None
     present = its.present()
@@ -131,7 +131,7 @@ def test_where_few_events_come_the_motion_goes_on_as_a_random_walk(walk: float |
     assert fitted is not None and carried is not None and scene is not None
     expected = scene.motion[:3] + scene.predicted_change(window.t_end)
     np.testing.assert_allclose(carried.twist.angular, expected)
-    per_s = 4 * walk if walk else np.radians(60.0) ** 2
+    per_s = 8 * walk if walk else np.radians(60.0) ** 2
     drift = per_s * (window.t_end - scene.t) / NS_PER_S
     grown = np.diag(carried.covariance - estimate.covariance)[3:]
     np.testing.assert_allclose(grown, drift, rtol=1e-9)
