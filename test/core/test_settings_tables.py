@@ -23,7 +23,7 @@ OF_FORM = {
     "lattice/known": {"INFORMATION_EXCESS", "_MEAN", "_SLOPE"},
     "lattice/confinement": {"_FEWEST_NODES"},
     "lattice/constraints": {"_STRUCTURE_INLIER_PX"},
-    "lattice/egomotion": {"_UNKNOWN", "MOTION_UNKNOWNS"},
+    "lattice/egomotion": {"_UNKNOWN", "MOTION_UNKNOWNS", "OF_W", "OF_V"},
     "lattice/flow_starts": set(),
     "lattice/memory": {"_EXTRAPOLATIONS"},
     "lattice/preparation": {"_BLOCK"},

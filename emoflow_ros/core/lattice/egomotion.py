@@ -26,6 +26,7 @@ type Rotation = tuple[Array, Array]
 _UNKNOWN: Rotation = (np.zeros(3), np.zeros((3, 3)))
 
 MOTION_UNKNOWNS = 13
+OF_W, OF_V = np.r_[0:3, 6:9], np.r_[3:6, 9:12]  # among them, at start and end
 
 
 @dataclass(frozen=True)

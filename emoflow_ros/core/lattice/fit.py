@@ -11,6 +11,8 @@ from emoflow_ros.core.lattice.constraints import add_constraint, add_structure
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.egomotion import (
     MOTION_UNKNOWNS,
+    OF_V,
+    OF_W,
     Motion,
     NodeEpipolar,
     Residuals,
@@ -36,7 +38,6 @@ SCALES = (0.25, 0.5, 1.0)
 # Mean and change over the window, (6, 13) each, of w and v from the motion's unknowns
 _MEAN = np.hstack([0.5 * np.eye(6), 0.5 * np.eye(6), np.zeros((6, 1))])
 _CHANGE = np.hstack([-np.eye(6), np.eye(6), np.zeros((6, 1))])
-_OF_W, _OF_V = np.r_[0:3, 6:9], np.r_[3:6, 9:12]
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class LatticeFit:
         corner_vector -= self._smooth_rotation @ motion.unknowns
         if self.known is not None:
             self.known.add_to(motion.w, corner, corner_vector)
-        not_asked_for = np.append(_OF_V, MOTION_UNKNOWNS - 1)
+        not_asked_for = np.append(OF_V, MOTION_UNKNOWNS - 1)
         corner[not_asked_for, not_asked_for] = 1.0
         step, change = equations.solve_bordered()
         self.motion = motion.moved(change)
@@ -205,10 +206,10 @@ class LatticeFit:
         unknowns, mean = motion.unknowns, _MEAN @ motion.unknowns
         corner, corner_vector = self._equations.corner, self._equations.corner_vector
         # v has no unit of its own: its stiffness goes by a quarter of the evidence at hand.
-        evidence = float(corner[_OF_V, _OF_V].mean()) / 4
+        evidence = float(corner[OF_V, OF_V].mean()) / 4
         smooth = self._smooth_rotation + evidence * self._smooth_translation
         if self.config.model == MotionModel.TRANSLATION:
-            smooth[_OF_W, _OF_W] += 2 * INFORMATION_EXCESS * self._of_no_turn
+            smooth[OF_W, OF_W] += 2 * INFORMATION_EXCESS * self._of_no_turn
         corner += smooth
         corner_vector -= smooth @ unknowns
         along = mean[3:] @ _MEAN[3:]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.gyro.measurement import GyroMeasurement
-from emoflow_ros.core.lattice.egomotion import NodeEpipolar
+from emoflow_ros.core.lattice.egomotion import OF_W, NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.settings import LATTICE
 
@@ -178,11 +178,10 @@ class KnownRotation:
             corner: (13, 13) of a motion's unknowns.
             corner_vector: (13,).
         """
-        of_w = np.r_[0:3, 6:9]
         for weights, known, information in (
             (_MEAN, self.mean, self.information),
             (_SLOPE, self.slope, self.slope_information),
         ):
-            corner[np.ix_(of_w, of_w)] += np.kron(np.outer(weights, weights), information)
+            corner[np.ix_(OF_W, OF_W)] += np.kron(np.outer(weights, weights), information)
             surprise = information @ (known - weights @ w)
-            corner_vector[of_w] += np.kron(weights, surprise)
+            corner_vector[OF_W] += np.kron(weights, surprise)
