@@ -1,10 +1,11 @@
 """Two flows of a window as one: where which of them is sharper tells which is nearer.
 
-The lattice's flow is smooth between nodes that are far apart, and depths of patches know nothing of
-what lies between them. Their errors differ from place to place.
+The lattice's flow is smooth between nodes that are far apart, and may be lost; depths of patches
+know nothing of what lies between them, or moves by itself. Their errors differ from place to place.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.kernels import MARGIN
-from emoflow_ros.core.lattice.refinement import Depths, rotation_by_parts
+from emoflow_ros.core.lattice.refinement import Depths, rotation_at_ends
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate
@@ -25,6 +26,18 @@ Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _LEAST = 1e-6  # contrast that is as good as none
+
+
+class Rigid(NamedTuple):
+    """A rigid scene as the known motion shows it, at the nodes of `Blend.fine`.
+
+    Attributes:
+        flow: (columns, rows, 2, 2) px per window.
+        contrast: (columns, rows) around each node, of events warped along it.
+    """
+
+    flow: Array
+    contrast: Array
 
 
 class Blend:
@@ -66,18 +79,36 @@ class Blend:
     def _rows(self) -> Array:
         return np.linspace(0, self.fine.height - 1, self.fine.rows)
 
-    def rigid(self, w: Array, v: Array, points: Array, inverse_depth: Array) -> Array:
-        """Flow of a rigid scene at the nodes of `fine`, (columns, rows, 2) px per window.
+    def rigid(self, events: WindowEvents, estimate: Estimate, depths: Depths) -> Rigid | None:
+        """Tell how the scene moves if nothing in it moves by itself.
 
         Args:
-            w: (3,) rad per window.
-            v: (3,) unit vector.
-            points: (N, 2) px, N > 0, whose depths are known.
-            inverse_depth: (N,) travelled distances per window.
+            events: of the window.
+            estimate: of it, with its motion.
+            depths: of points, in the pixels of the working image.
+
+        Returns:
+            None where the camera travels and no depth is known.
         """
-        rho = self._between(points, inverse_depth).reshape(-1, 1)
-        flow = self._b @ w + rho * (self._a @ v)
-        return np.asarray(flow.reshape(self.fine.columns, self.fine.rows, 2))
+        flow = np.einsum("nij,tj->nti", self._b, rotation_at_ends(estimate))
+        if estimate.translation_observable:
+            if not len(depths.points):
+                return None
+            seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
+            rho = self._between(depths.points, seconds * depths.inverse_depth).reshape(-1, 1)
+            flow = flow + (rho * (self._a @ estimate.linear))[:, None]
+        flow = flow.reshape(self.fine.shape)
+        return Rigid(flow, self._around(events, flow))
+
+    def start(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
+        """What another fit begins with: the rigid scene where the lattice is hardly sharper.
+
+        Arguments as in `__call__`; the nodes are the lattice's.
+        """
+        own, closer = self._finer(flow), LATTICE.closer
+        hardly = rigid.contrast > LATTICE.hardly * self._around(events, own)
+        begin = np.where((self._usable & hardly)[:, :, None, None], rigid.flow, own)
+        return np.ascontiguousarray(begin[::closer, ::closer], np.float32)
 
     def _between(self, points: Array, rho: Array) -> Array:
         """Inverse depths (columns, rows) by local linear regression, in which near points count.
@@ -102,27 +133,23 @@ class Blend:
         found = mean + slope / (xx * yy - xy * xy)
         return np.clip(found, rho.min() / LATTICE.beyond, rho.max() * LATTICE.beyond)
 
-    def __call__(self, events: WindowEvents, flow: F32, estimate: Estimate, depths: Depths) -> F32:
+    def __call__(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """Blend by the contrast around each node, (columns, rows, 2, 2) px per window of `fine`.
-
-        The rigid scene's flow is the mean over the window: it changes in time as the other one.
 
         Args:
             events: of the window.
             flow: of the lattice, (columns, rows, 2, 2) px per window.
-            estimate: of the window, with v.
-            depths: of at least one point, in the pixels of the working image.
+            rigid: the scene that it is blended with.
         """
-        seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
-        w, rho = rotation_by_parts(estimate, 1)[0], seconds * depths.inverse_depth
-        rigid = self.rigid(w, estimate.linear, depths.points, rho)
+        own = self._finer(flow)
+        sharper = np.log(rigid.contrast / self._around(events, own))
+        share = self._usable * expit(LATTICE.blend_power * sharper)
+        return (own + share[:, :, None, None] * (rigid.flow - own)).astype(np.float32)
+
+    def _finer(self, flow: F32) -> Array:
+        """The lattice's flow at the nodes of `fine`."""
         nodes = flow.astype(np.float64).reshape(len(self._lattice.pixels), -1)
-        own = self._lattice.interpolate(nodes, self.fine.pixels)
-        own = own.reshape(self.fine.shape)
-        apart = (rigid - own.mean(axis=2))[:, :, None]
-        here, there = self._around(events, own), self._around(events, own + apart)
-        share = self._usable * expit(LATTICE.blend_power * np.log(there / here))
-        return (own + share[:, :, None, None] * apart).astype(np.float32)
+        return self._lattice.interpolate(nodes, self.fine.pixels).reshape(self.fine.shape)
 
     def _around(self, events: WindowEvents, flow: Array) -> Array:
         """Contrast around each node (columns, rows) of the events warped along a flow."""

@@ -81,13 +81,15 @@ class LatticeEstimator:
         """Fit the flow of the last window again, with an estimate and depths on the sensor."""
         depths = replace(depths, points=depths.points / self._image.sensor_px)
         with self._threads.limit(limits=1, user_api="blas"):
-            found = refined(self._fit, self._events, estimate, depths)
+            lattice, begin = self.lattice, self._fit.flow
+            rigid = self._blend.rigid(self._events, estimate, depths)
+            if rigid is not None:
+                begin = self._blend.start(self._events, begin, rigid)
+            found = refined(self._fit, begin, self._events, estimate)
             if found is None:
                 return estimate
-            lattice = self.lattice
-            if estimate.translation_observable and len(depths.points):
-                lattice = self._blend.fine
-                found = self._blend(self._events, found, estimate, depths)
+            if rigid is not None:
+                lattice, found = self._blend.fine, self._blend(self._events, found, rigid)
         flow = LatticeFlow(*self._image.on_sensor(lattice, found), estimate.t_start, estimate.t_end)
         return replace(estimate, flow=flow)
 

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.egomotion import Motion
-from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.known import (
     INFORMATION_EXCESS,
     KnownRotation,
     MotionPrior,
-    Structure,
 )
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
@@ -43,39 +41,15 @@ class Depths:
     points: Array
     inverse_depth: Array
 
-    def structure(self, lattice: Lattice, seconds: float) -> Structure:
-        """Spread them over nodes: certain where many points of one depth are near.
 
-        Args:
-            lattice: its nodes, in the pixels of the points.
-            seconds: length of the window.
-        """
-        pixels = lattice.pixels.reshape(lattice.columns, lattice.rows, 2)
-        reach = LATTICE.spread / float(lattice.per_px[0])
-        rho = seconds * self.inverse_depth
-        # Gaussians of the distance, by column and by row
-        x, y = (
-            np.exp(-0.5 * ((nodes[:, None] - self.points[:, d]) / reach) ** 2)
-            for d, nodes in enumerate((pixels[:, 0, 0], pixels[0, :, 1]))
-        )
-        number, total, squares = (
-            ((x * value) @ y.T).ravel() for value in (np.ones_like(rho), rho, rho**2)
-        )
-        mean, square = (value / np.maximum(number, 1e-9) for value in (total, squares))
-        variance = np.maximum(square - mean**2, 0) + (LATTICE.own_sd * mean) ** 2 + _LEAST
-        return Structure(mean, number / variance)
-
-
-def refined(
-    fit: LatticeFit, events: WindowEvents, estimate: Estimate, depths: Depths
-) -> F32 | None:
-    """Fit a flow again from where a fit is, which stays as it is.
+def refined(fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimate) -> F32 | None:
+    """Fit a flow again; the fit stays as it is.
 
     Args:
         fit: of the window.
+        begin: (columns, rows, times, 2) px per window, the flow to begin with.
         events: of the window.
         estimate: of the window, with the motion that is known.
-        depths: of the scene, in the pixels of the fit.
 
     Returns:
         (columns, rows, times, 2) px per window; None if there is no best flow, or no motion
@@ -87,13 +61,13 @@ def refined(
     w = rotation_over(estimate)
     of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)
     again = copy(fit)
+    again.flow, again.structure = begin, None
     again.known = KnownRotation.seen(w, of_w)
     again.config = replace(fit.config, dec_weight=LATTICE.stiffer * fit.config.dec_weight)
     ends = again.known.ends()
     prior = None
     if estimate.translation_observable:
         again.motion, again.front = Motion(ends, np.stack([estimate.linear] * 2)), 1.0
-        again.structure = depths.structure(again.lattice, seconds)
         prior = _prior(again.known.mean, estimate, seconds)
     else:
         again.motion = replace(fit.motion, w=ends)
@@ -117,6 +91,15 @@ def rotation_over(estimate: Estimate) -> Array:
     assert estimate.motion is not None
     seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
     return seconds * angular_over(estimate.motion, estimate.t_start, estimate.t_end, _TIMES)
+
+
+def rotation_at_ends(estimate: Estimate) -> Array:
+    """Angular velocities (2, 3) at a window's start and end, of its mean and slope; units as above.
+
+    Args:
+        estimate: with a motion.
+    """
+    return KnownRotation.seen(rotation_over(estimate), np.eye(3)).ends()
 
 
 def rotation_by_parts(estimate: Estimate, parts: int) -> Array:

@@ -79,9 +79,8 @@ class LatticeSettings:
         refining_steps: of the second fit, at full resolution.
         stiffer: weight of its epipolar constraint over dec_weight; and that of a rotation, which
             leaves the flow no freedom of its own.
-        spread: standard deviation of the distance from a node to patches that count for its depth,
-            in spacings.
-        own_sd: of one patch's depth, over the depth.
+        hardly: contrast of a rigid scene's flow over the lattice's, from which that is hardly
+            sharper.
         closer: number of nodes of a blended flow for each one of the lattice, along an axis.
         depth_reaches: standard deviations of the distance to patches, px, and how much they count:
             the wide ones where no patch is near.
@@ -147,8 +146,7 @@ class LatticeSettings:
     third_events: int = 3_000
     refining_steps: int = 3
     stiffer: float = 10.0
-    spread: float = 0.5
-    own_sd: float = 0.1
+    hardly: float = 0.8
     closer: int = 3
     depth_reaches: tuple[tuple[float, float], ...] = ((8.0, 1.0), (24.0, 0.03), (80.0, 0.003))
     slope_px: float = 14.0

@@ -7,7 +7,7 @@ import pytest
 
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import motion_field
-from emoflow_ros.core.lattice.blending import Blend
+from emoflow_ros.core.lattice.blending import Blend, Rigid
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.refinement import Depths
 from emoflow_ros.core.lattice.settings import LATTICE
@@ -32,10 +32,19 @@ class Still:
         return V
 
 
-def estimate() -> Estimate:
+class Growing(Still):
+    """A rotation that grows from half to one and a half of it over the window."""
+
+    def angular(self, t: int) -> np.ndarray:
+        return (0.5 + t / WINDOW_NS) * super().angular(t)
+
+
+def estimate(motion: Still | None = None) -> Estimate:
     found = Estimate(0, WINDOW_NS, WINDOW_NS // 2, Status.OK, Quality(1, 1, "", 2.0))
     covariance = np.diag([0.0, 0.1, 0.1, 0.1, 0.1, 0.1])
-    return replace(found, model=MotionModel.FULL, linear=V, covariance=covariance, motion=Still())
+    return replace(
+        found, model=MotionModel.FULL, linear=V, covariance=covariance, motion=motion or Still()
+    )
 
 
 def depths(near: float = 1.0) -> Depths:
@@ -44,6 +53,9 @@ def depths(near: float = 1.0) -> Depths:
     points = np.stack([x.ravel(), y.ravel()], axis=1)
     rho = RHO * np.where(points[:, 0] > SIZE[0] / 2, near, 1.0)
     return Depths(points, rho * (1e9 / WINDOW_NS))
+
+
+NO_DEPTHS = Depths(np.zeros((0, 2)), np.zeros(0))
 
 
 def flow_of(points: np.ndarray, rho: np.ndarray) -> np.ndarray:
@@ -72,6 +84,13 @@ def lattice_flow(near: float = 1.0) -> np.ndarray:
     return np.repeat(flow_of(nodes, rho)[:, None], 2, axis=1).reshape(COARSE.shape)
 
 
+def rigid_scene(blend: Blend, near: float = 1.0, seen: WindowEvents | None = None) -> Rigid:
+    """The scene of the true motion and of depths, as its own events, or others, show it."""
+    rigid = blend.rigid(events(near) if seen is None else seen, estimate(), depths(near))
+    assert rigid is not None
+    return rigid
+
+
 def right_of(blend: Blend) -> np.ndarray:
     """Nodes of the fine lattice that lie in the right half, away from its sides."""
     x, y = blend.fine.pixels.T
@@ -93,18 +112,34 @@ def test_every_third_node_is_one_of_the_lattice():
 
 
 def test_a_rigid_flow_is_that_of_the_depths():
-    blend, known = Blend(CAMERA, COARSE), depths(2.0)
-    rho = known.inverse_depth * (WINDOW_NS / 1e9)
-    rigid = blend.rigid(W, V, known.points, rho).reshape(-1, 2)
+    blend = Blend(CAMERA, COARSE)
+    rigid = rigid_scene(blend, 2.0).flow
     nodes = blend.fine.pixels
     true = flow_of(nodes, RHO * np.where(nodes[:, 0] > SIZE[0] / 2, 2.0, 1.0))
     off_the_edge = np.abs(nodes[:, 0] - SIZE[0] / 2) > 30
-    assert rigid[off_the_edge] == pytest.approx(true[off_the_edge], abs=0.05)
+    for time in range(2):
+        flow = rigid[:, :, time].reshape(-1, 2)
+        assert flow[off_the_edge] == pytest.approx(true[off_the_edge], abs=0.05)
+
+
+def test_a_rotation_that_grows_is_in_the_rigid_flow():
+    blend = Blend(CAMERA, COARSE)
+    rotating = replace(estimate(Growing()), model=MotionModel.ROTATION, linear=np.zeros(3))
+    rigid = blend.rigid(events(), rotating, NO_DEPTHS)
+    assert rigid is not None
+    at_rest = np.zeros(len(blend.fine.pixels))
+    for time, share in enumerate((0.5, 1.5)):
+        true = share * flow_of(blend.fine.pixels, at_rest)
+        assert rigid.flow[:, :, time].reshape(-1, 2) == pytest.approx(true, abs=1e-3)
+
+
+def test_a_camera_that_travels_shows_no_rigid_flow_without_depths():
+    assert Blend(CAMERA, COARSE).rigid(events(), estimate(), NO_DEPTHS) is None
 
 
 def test_two_flows_that_agree_stay_as_they_are():
     blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
-    blended = blend(events(), flow, estimate(), depths())
+    blended = blend(events(), flow, rigid_scene(blend))
     own = COARSE.interpolate(flow[:, :, 0].reshape(-1, 2).astype(float), blend.fine.pixels)
     for time in range(2):
         assert blended[:, :, time].reshape(-1, 2) == pytest.approx(own, abs=0.03)
@@ -113,7 +148,7 @@ def test_two_flows_that_agree_stay_as_they_are():
 def test_where_the_depths_are_sharper_they_are_believed():
     blend = Blend(CAMERA, COARSE)
     flow = lattice_flow().astype(np.float32)  # the whole scene at one depth
-    blended = blend(events(2.0), flow, estimate(), depths(2.0)).mean(axis=2).reshape(-1, 2)
+    blended = blend(events(2.0), flow, rigid_scene(blend, 2.0)).mean(axis=2).reshape(-1, 2)
     true = flow_of(blend.fine.pixels, np.full(len(blended), 2 * RHO))
     right = right_of(blend)
     own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
@@ -124,7 +159,9 @@ def test_where_the_depths_are_sharper_they_are_believed():
 
 def test_where_the_lattice_is_sharper_depths_are_not_believed():
     blend, flow = Blend(CAMERA, COARSE), lattice_flow(2.0).astype(np.float32)
-    blended = blend(events(2.0), flow, estimate(), depths()).mean(axis=2).reshape(-1, 2)
+    blended = (
+        blend(events(2.0), flow, rigid_scene(blend, 1.0, events(2.0))).mean(axis=2).reshape(-1, 2)
+    )
     own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
     right = right_of(blend)
     assert np.linalg.norm((blended - own)[right], axis=1).mean() < 0.5
@@ -166,7 +203,8 @@ def test_one_depth_is_that_of_the_whole_scene():
 def test_without_events_both_count_the_same():
     blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
     nothing = WindowEvents(*np.zeros((4, 1), np.float32))
-    share = share_of_depths(blend, flow, blend(nothing, flow, estimate(), depths(2.0)))
+    rigid = rigid_scene(blend, 2.0, nothing)
+    share = share_of_depths(blend, flow, blend(nothing, flow, rigid))
     assert share == pytest.approx(0.5, abs=0.01)
 
 
@@ -174,15 +212,30 @@ def test_where_events_are_equally_sharp_both_count_the_same():
     blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
     edges = events()
     at_once = replace(edges, s=np.full_like(edges.s, 0.5))  # no flow moves them
-    blended = blend(at_once, flow, estimate(), depths(2.0))
+    blended = blend(at_once, flow, rigid_scene(blend, 2.0, at_once))
     assert share_of_depths(blend, flow, blended) == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_change_over_the_window_stays():
+def starts_with_the_scene(near: float, seen: float) -> np.ndarray:
+    """Which of the lattice's right nodes begin with a scene that is so many times as near."""
     blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
-    flow[:, :, 1] += np.float32(2.0)
-    blended = blend(events(2.0), flow, estimate(), depths(2.0))
-    assert blended[:, :, 1] - blended[:, :, 0] == pytest.approx(2.0, abs=1e-3)
+    rigid = rigid_scene(blend, near, events(seen))
+    begin = blend.start(events(seen), flow, rigid)
+    assert begin.shape == COARSE.shape and begin.dtype == np.float32
+    of_scene = (begin == rigid.flow[::3, ::3].astype(np.float32)).all(axis=(2, 3))
+    of_lattice = np.abs(begin - flow).max(axis=(2, 3)) < 1e-4
+    assert (of_scene | of_lattice).all()
+    x, y = COARSE.pixels.T
+    right = (x > SIZE[0] / 2 + 16) & (x < SIZE[0] - 20) & (y > 20) & (y < SIZE[1] - 20)
+    return of_scene.ravel()[right]
+
+
+def test_another_fit_begins_with_the_rigid_scene_where_it_is_sharper():
+    assert starts_with_the_scene(near=2.0, seen=2.0).all()
+
+
+def test_another_fit_begins_with_the_lattice_where_that_is_clearly_sharper():
+    assert not starts_with_the_scene(near=2.0, seen=1.0).any()
 
 
 @pytest.mark.parametrize("place", [(40.0, 90.0), (150.0, 20.0), (70.0, 60.0)])
@@ -203,7 +256,7 @@ def test_where_the_lens_has_no_inverse_the_lattice_counts():
     camera = replace(CAMERA, model="plumb_bob", distortion=(-0.9, 0.0, 0.0, 0.0))
     blend, flow = Blend(camera, COARSE), lattice_flow().astype(np.float32)
     unusable = ~np.isfinite(camera.undistort(blend.fine.pixels)[0]).all(axis=-1)
-    blended = blend(events(2.0), flow, estimate(), depths(2.0)).mean(axis=2).reshape(-1, 2)
+    blended = blend(events(2.0), flow, rigid_scene(blend, 2.0)).mean(axis=2).reshape(-1, 2)
     own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
     apart = np.linalg.norm(blended - own, axis=1)
     assert unusable.any() and not unusable.all()

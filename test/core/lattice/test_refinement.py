@@ -8,7 +8,6 @@ import pytest
 from emoflow_ros.config import load_config
 from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
-from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.refinement import Depths
 from emoflow_ros.core.types.estimate import Estimate, MotionModel
 from emoflow_ros.core.types.events import Window, WindowSlicer
@@ -117,14 +116,16 @@ def test_depths_that_are_known_help():
     assert np.mean(with_them[2:]) < 0.9 * np.mean(without[2:])
 
 
-def test_depths_are_certain_where_points_agree():
-    lattice = Lattice(401, 201, 5, 3)  # nodes 100 px apart
-    points = np.array([[0.0, 0.0], [1.0, 0.0], [199.0, 100.0], [201.0, 100.0]])
-    structure = Depths(points, np.array([2.0, 2.0, 1.0, 3.0])).structure(lattice, 0.5)
-    mean, information = (
-        values.reshape(5, 3) for values in (structure.inverse_depth, structure.information)
-    )
-    assert [mean[0, 0], mean[2, 1]] == pytest.approx([1.0, 1.0], rel=1e-3)
-    assert information[0, 0] == pytest.approx(2 / 0.1**2, rel=0.01)
-    assert information[2, 1] == pytest.approx(2 / (0.5**2 + 0.1**2), rel=0.01)
-    assert information[4, 2] == pytest.approx(0.0, abs=0.5)
+def test_a_flow_that_is_lost_is_found_again_by_the_known_motion():
+    recording, windows = windows_of("rotation")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    before, after = [], []
+    for window in windows:
+        found = told(recording, estimator.estimate(window))
+        found = replace(found, model=MotionModel.ROTATION, linear=np.zeros(3))
+        right = error(recording, estimator.refined(found, NONE))
+        estimator._fit.flow = estimator._fit.flow + np.float32(12.0)  # px, everywhere
+        before.append(right)
+        after.append(error(recording, estimator.refined(found, NONE)))
+        estimator.reset()
+    assert np.mean(after) == pytest.approx(np.mean(before), rel=0.05)
