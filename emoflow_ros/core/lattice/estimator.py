@@ -78,7 +78,10 @@ class LatticeEstimator:
         return with_gyro(found, measurement, self.config)
 
     def refined(self, estimate: Estimate, depths: Depths) -> Estimate:
-        """Fit the flow of the last window again, with an estimate and depths on the sensor."""
+        """Fit the flow of the last window again, with an estimate and depths on the sensor.
+
+        Where the window alone shows no flow, that of a rigid scene is taken.
+        """
         depths = replace(depths, points=depths.points / self._image.sensor_px)
         with self._threads.limit(limits=1, user_api="blas"):
             lattice, begin = self.lattice, self._fit.flow
@@ -86,10 +89,12 @@ class LatticeEstimator:
             if rigid is not None:
                 begin = self._blend.start(self._events, begin, rigid)
             found = refined(self._fit, begin, self._events, estimate)
-            if found is None:
-                return estimate
-            if rigid is not None:
+            if rigid is not None and found is not None:
                 lattice, found = self._blend.fine, self._blend(self._events, found, rigid)
+            elif rigid is not None and estimate.flow is None:
+                lattice, found = self._blend.fine, rigid.flow.astype(np.float32)
+        if found is None:
+            return estimate
         flow = LatticeFlow(*self._image.on_sensor(lattice, found), estimate.t_start, estimate.t_end)
         return replace(estimate, flow=flow)
 

@@ -129,3 +129,15 @@ def test_a_flow_that_is_lost_is_found_again_by_the_known_motion():
         after.append(error(recording, estimator.refined(found, NONE)))
         estimator.reset()
     assert np.mean(after) == pytest.approx(np.mean(before), rel=0.05)
+
+
+def test_where_a_window_shows_no_flow_the_rigid_scene_has_one():
+    recording, windows = windows_of("calm")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    for window in windows[:3]:
+        found = estimator.estimate(window)
+    estimator._fit.motion = None  # as after a cold start that finds nothing
+    none = told(recording, replace(found, flow=None))
+    again = estimator.refined(none, true_depths(recording, found.t))
+    assert error(recording, again) < 0.9 * error(recording, found)
+    assert estimator.refined(none, NONE).flow is None
