@@ -281,7 +281,10 @@ class RememberingEstimator:
         return self._refine(likeliest, self._depths(state, speed, likeliest)).flow
 
     def _depths(self, state: State, speed: float, estimate: Estimate) -> Depths:
-        """Depths of the patches that the newest slice shows, in the middle of the window."""
+        """Depths of the patches that the newest slice shows, in the middle of the window.
+
+        Without a flow they stay where that slice shows them: next to nothing moves.
+        """
         patches, x = state.patches, state.x
         assert x is not None
         known = patches.shown & np.isfinite(patches.inverse_depth)

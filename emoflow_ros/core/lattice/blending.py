@@ -103,7 +103,7 @@ class Blend:
     def start(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """What another fit begins with: the rigid scene where the lattice is hardly sharper.
 
-        Arguments as in `__call__`; the nodes are the lattice's.
+        So it is where no event is near. Arguments as in `__call__`; the nodes are the lattice's.
         """
         own, closer = self._finer(flow), LATTICE.closer
         hardly = rigid.contrast > LATTICE.hardly * self._around(events, own)

@@ -78,9 +78,11 @@ class LatticeEstimator:
         return with_gyro(found, measurement, self.config)
 
     def refined(self, estimate: Estimate, depths: Depths) -> Estimate:
-        """Fit the flow of the last window again, with an estimate and depths on the sensor.
+        """Fit the flow of the last window again; where nothing was fitted, take a rigid scene's.
 
-        Where the window alone shows no flow, that of a rigid scene is taken.
+        Args:
+            estimate: of the window, with a motion.
+            depths: of the scene, at points on the sensor.
         """
         depths = replace(depths, points=depths.points / self._image.sensor_px)
         with self._threads.limit(limits=1, user_api="blas"):

@@ -72,7 +72,7 @@ class LatticeFit:
     Attributes:
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion, or None before the flow is good enough to look for it.
-        structure: inverse depths known from earlier windows or of patches, or None.
+        structure: inverse depths known from earlier windows, or None.
         known: what a gyro says about the window's rotation, or None.
         front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along
             -v, 0 if that is not known.

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _TIMES = 9  # at which the motion is read
-_LEAST = 1e-9  # variance of an angle or of an inverse depth, per window^2
+_LEAST = 1e-9  # variance of an angle, rad^2 per window^2
 
 
 @dataclass(frozen=True)

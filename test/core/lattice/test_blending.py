@@ -234,6 +234,14 @@ def test_another_fit_begins_with_the_rigid_scene_where_it_is_sharper():
     assert starts_with_the_scene(near=2.0, seen=2.0).all()
 
 
+def test_another_fit_begins_with_the_rigid_scene_where_both_are_as_sharp():
+    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    edges = events()
+    at_once = replace(edges, s=np.full_like(edges.s, 0.5))  # no flow moves them
+    rigid = rigid_scene(blend, 2.0, at_once)
+    assert blend.start(at_once, flow, rigid) == pytest.approx(rigid.flow[::3, ::3], abs=1e-3)
+
+
 def test_another_fit_begins_with_the_lattice_where_that_is_clearly_sharper():
     assert not starts_with_the_scene(near=2.0, seen=1.0).any()
 
@@ -256,9 +264,15 @@ def test_where_the_lens_has_no_inverse_the_lattice_counts():
     camera = replace(CAMERA, model="plumb_bob", distortion=(-0.9, 0.0, 0.0, 0.0))
     blend, flow = Blend(camera, COARSE), lattice_flow().astype(np.float32)
     unusable = ~np.isfinite(camera.undistort(blend.fine.pixels)[0]).all(axis=-1)
-    blended = blend(events(2.0), flow, rigid_scene(blend, 2.0)).mean(axis=2).reshape(-1, 2)
+    rigid = rigid_scene(blend, 2.0)
+    blended = blend(events(2.0), flow, rigid).mean(axis=2).reshape(-1, 2)
     own = COARSE.interpolate(flow.mean(axis=2).reshape(-1, 2).astype(float), blend.fine.pixels)
     apart = np.linalg.norm(blended - own, axis=1)
     assert unusable.any() and not unusable.all()
     assert apart[unusable].max() < 1e-4
     assert apart.max() > 1
+    begin = blend.start(events(2.0), flow, rigid)
+    of_lattice = unusable.reshape(blend.fine.columns, blend.fine.rows)[::3, ::3]
+    assert of_lattice.any()
+    assert begin[of_lattice] == pytest.approx(flow[of_lattice], abs=1e-4)
+    assert np.abs(begin - flow)[~of_lattice].max() > 1

@@ -81,6 +81,7 @@ def test_a_flow_that_cannot_be_fitted_stays_as_it_was():
     lost = told(recording, found)
     lost = replace(lost, covariance=np.full((6, 6), np.nan))
     assert estimator.refined(lost, NONE).flow is found.flow
+    assert estimator.refined(lost, true_depths(recording, found.t)).flow is found.flow
 
 
 def test_before_any_fit_no_flow_is_fitted_again():
