@@ -283,7 +283,7 @@ class RememberingEstimator:
     def _depths(self, state: State, speed: float, estimate: Estimate) -> Depths:
         """Depths of the patches that the newest slice shows, in the middle of the window.
 
-        Without a flow they stay where that slice shows them: next to nothing moves.
+        In a window without a flow they stay where that slice shows them.
         """
         patches, x = state.patches, state.x
         assert x is not None
