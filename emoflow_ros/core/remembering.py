@@ -206,20 +206,18 @@ class RememberingEstimator:
         if found.quality.warm:  # else what is short was tried, not measured
             seconds = (found.t_end - found.t_start) / NS_PER_S
         kept = state.patches.kept(self._front.patience)
-        lost = back.errors.lost if kept < back.errors.lost_share else 1.0
         by_gyro = found.gyro.state is GyroState.USED
         covariance = np.zeros((6, 6))
         if by_gyro:
             angular, covariance[3:, 3:] = found.angular, found.covariance[3:, 3:]
         else:
-            seen = state.patches.times_seen
-            factor = lost * angular_factor(experience, cost, seen, seconds, back.errors)
-            factor *= back.errors.alone if found.flow is None else 1.0
+            factor = angular_factor(experience, kept, seconds, back.errors)
             if found.flow is not None:  # else the lattice measures nothing
-                spread = spread + back.errors.of_now * np.outer(experience.away, experience.away)
+                # Of two that are as good, each has half the variance of their difference.
+                spread = spread + 0.5 * np.outer(experience.away, experience.away)
             angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + spread
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
-        linear, variance = np.zeros(3), lost * direction_variance(experience, cost, back.errors)
+        linear, variance = np.zeros(3), direction_variance(experience, kept, cost, back.errors)
         if adjusted.translates and speed > 0:
             direction = motion.linear / speed
             of_direction = variance * (np.eye(3) - np.outer(direction, direction))

@@ -7,9 +7,11 @@ import pytest
 from test_remembering import Run, run_of
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
+from emoflow_ros.core.back_end.consistency import Experience
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import interpolated
+from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.lattice.uncertainty import without_translation
@@ -20,8 +22,6 @@ from emoflow_ros.core.types.gyro import GyroState, GyroStatus
 C, S = np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
 TILT = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
 W_ONLY, V_ONLY = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 0.0, 0.0])
-# What the window itself shows of the error of w is left out.
-ALWAYS = BackEndSettings(errors=replace(BackEndSettings().errors, of_now=0.0))
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ def calm() -> Run:
     return run_of("calm")
 
 
-def last_of(run: Run, back: BackEndSettings | None = None, *, warm: bool = True) -> Estimate:
+def last_of(run: Run, *, warm: bool = True) -> Estimate:
     """Estimate the sixth window by its last part, whose flow is said to be warm or cold."""
     camera = run.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
     memory = reader.nothing()
     for window in run.windows[:6]:
         found = lattice.estimate(window)
@@ -61,22 +61,31 @@ def spread_of(monkeypatch: pytest.MonkeyPatch, variance: float) -> None:
     monkeypatch.setattr(Hypotheses, "spread", lambda *_: (variance * W_ONLY, 2 * variance * V_ONLY))
 
 
+def at_one_with_the_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the lattice's w be the adjusted one, where what is told of the error is concerned."""
+    learnt = Experience.after
+    monkeypatch.setattr(Experience, "after", lambda *args: replace(learnt(*args), away=np.zeros(3)))
+
+
 def test_a_motion_is_less_sure_where_few_patches_are_found_again(
     calm: Run, monkeypatch: pytest.MonkeyPatch
 ):
     spread_of(monkeypatch, 0.0)
-    law = ALWAYS.errors
-    sure = last_of(calm, ALWAYS)
-    losing = BackEndSettings(errors=replace(law, lost_share=1.1))
-    unsure = last_of(calm, losing)
-    assert (law.lost, law.lost_share) == (8.0, 0.1)
-    assert unsure.covariance == pytest.approx(8 * sure.covariance)
-    assert unsure.angular.tolist() == sure.angular.tolist()
+    at_one_with_the_lattice(monkeypatch)
+    told = []
+    for kept in (0.5, 0.25):
+        monkeypatch.setattr(Patches, "kept", lambda *_, kept=kept: kept)
+        told.append(last_of(calm))
+    many, few = told
+    assert few.covariance[3:, 3:] == pytest.approx(4 * many.covariance[3:, 3:])
+    assert few.covariance[:3, :3] == pytest.approx(2 * many.covariance[:3, :3])
+    assert few.angular.tolist() == many.angular.tolist()
 
 
 def test_only_of_a_warm_fit_the_length_counts(calm: Run, monkeypatch: pytest.MonkeyPatch):
     spread_of(monkeypatch, 0.0)
-    warm, cold = last_of(calm, ALWAYS), last_of(calm, ALWAYS, warm=False)
+    at_one_with_the_lattice(monkeypatch)
+    warm, cold = last_of(calm), last_of(calm, warm=False)
     part = (warm.t_end - warm.t_start) / 1e9
     assert part < 0.9 * calm.windows[5].duration
     longer = calm.windows[5].duration / part
@@ -84,24 +93,29 @@ def test_only_of_a_warm_fit_the_length_counts(calm: Run, monkeypatch: pytest.Mon
     assert cold.covariance[:3, :3] == pytest.approx(warm.covariance[:3, :3])
 
 
-def test_the_distance_to_the_lattice_s_w_in_the_window_is_added(calm: Run):
+def test_half_the_squared_distance_to_the_lattice_s_w_in_the_window_is_added(
+    calm: Run, monkeypatch: pytest.MonkeyPatch
+):
     camera = calm.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
     founds = [lattice.estimate(window) for window in calm.windows[:6]]
-    off, told = np.radians([3.0, -1.0, 2.0]), []
+    off = np.radians([3.0, -1.0, 2.0])
     founds[-1] = replace(founds[-1], angular=founds[-1].angular + off)
-    for back in (ALWAYS, BackEndSettings()):
-        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+
+    def last() -> Estimate:
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
         memory = reader.nothing()
         for window, found in zip(calm.windows, founds, strict=False):
             memory, estimate = reader.step(memory, window, found)
-        told.append(estimate)
-    without, whole = told
+        return estimate
+
+    whole = last()
+    at_one_with_the_lattice(monkeypatch)
+    without = last()
     away = founds[-1].angular - whole.angular
     assert np.degrees(np.linalg.norm(away)) > 1
     added = whole.covariance[3:, 3:] - without.covariance[3:, 3:]
-    assert added == pytest.approx(BackEndSettings().errors.of_now * np.outer(away, away))
-    assert BackEndSettings().errors.of_now == 0.6
+    assert added == pytest.approx(0.5 * np.outer(away, away))
 
 
 def test_the_spread_of_other_ways_is_added(calm: Run, monkeypatch: pytest.MonkeyPatch):

@@ -1,11 +1,10 @@
 """How far an adjusted motion is to be believed, by what it has been found to be worth.
 
 Errors of tracks are outliers rather than noise, and a search may end in a wrong minimum: neither
-shows in the normal equations. What does show is a motion that the next adjustment revises, another
-one that the lattice measures, places that do not fit, patches that were seen but a few times, and
-slow events, whose windows are long. How the variance of the error goes with these was fitted to the
-errors of recordings (docs/experiments.md): to powers of most, exponentially to the angle. How far
-the lattice's motion is away in the window itself is a part of its own.
+shows in the normal equations. What does show is a motion that the next adjustment revises, patches
+that are lost, slow events, whose windows are long, and another motion that the lattice measures.
+Which of these the variance of the error goes with, and by which powers, was found on the errors of
+recordings (docs/experiments.md).
 """
 
 from dataclasses import dataclass, field
@@ -27,9 +26,8 @@ class Experience:
         revised: log of the squared change of the angular velocity, as the next adjustment revises
             it, over its covariance, per axis.
         turned: log of the angle (rad) by which it revises the direction of translation.
-        apart: log of the distance (rad/s) to the angular velocity that the lattice measures; None
-            before the first window.
-        astray: angle (rad) to the direction that the lattice measures; None as well.
+        astray: angle (rad) to the direction that the lattice measures; None before the first
+            window.
         away: (3,) rad/s, the lattice's angular velocity less the adjusted one of the last window.
         t: the time that the last motion was told for, ns; None before one.
         motion: that was told.
@@ -37,7 +35,6 @@ class Experience:
 
     revised: float
     turned: float
-    apart: float | None = None
     astray: float | None = None
     away: Array = field(default_factory=lambda: np.zeros(3))
     t: int | None = None
@@ -63,57 +60,42 @@ class Experience:
             law: what is made of it.
         """
         away = measured[0] - motion.angular
-        apart = float(np.log(law.least_apart + np.linalg.norm(away)))
         astray = _angle(measured[1], motion.linear, law.unknown_angle)
         revised, turned = self.revised, self.turned
         if self.motion is not None and again is not None:
             change = again.angular - self.motion.angular
             squared = float(change @ np.linalg.solve(self.motion.covariance, change)) / 3
             angle = _angle(again.linear, self.motion.linear, law.unknown_angle)
-            revised = _mixed(revised, float(np.log(law.least_revision + squared)), law)
-            turned = _mixed(turned, float(np.log(law.least_turn + angle)), law)
-        return Experience(
-            revised,
-            turned,
-            _mixed(self.apart, apart, law),
-            _mixed(self.astray, astray, law),
-            away,
-            t,
-            motion,
-        )
+            revised = _mixed(revised, float(np.log(law.least + squared)), law)
+            turned = _mixed(turned, float(np.log(law.least + angle)), law)
+        return Experience(revised, turned, _mixed(self.astray, astray, law), away, t, motion)
 
 
-def angular_factor(
-    experience: Experience, cost: float, times_seen: float, seconds: float, law: ErrorLaw
-) -> float:
+def angular_factor(experience: Experience, kept: float, seconds: float, law: ErrorLaw) -> float:
     """By how much the squared error of an angular velocity usually exceeds its covariance.
 
     Args:
         experience: with this motion.
-        cost: of an observation on average, over what it is where the covariance is right.
-        times_seen: number of slices on average that show a patch.
+        kept: share of the patches followed so far that the newest slice shows.
         seconds: that the window lasts, s; all of it where the lattice's fit is cold or none.
         law: what is made of it.
     """
-    assert experience.apart is not None
-    return law.angular * float(
-        np.exp(experience.apart + law.of_revised * experience.revised)
-        * max(cost, law.least_cost) ** law.of_cost
-        * seconds
-        / (1 + times_seen) ** 2
-    )
+    revised = float(np.exp(experience.revised))
+    return law.angular * seconds * (revised / max(kept, law.least)) ** 2
 
 
-def direction_variance(experience: Experience, cost: float, law: ErrorLaw) -> float:
+def direction_variance(experience: Experience, kept: float, cost: float, law: ErrorLaw) -> float:
     """Variance of the direction of translation about either axis across it, rad^2.
 
-    That of the normal equations tells hardly anything of its error. Arguments as `angular_factor`.
+    That of the normal equations tells hardly anything of its error.
+
+    Args:
+        experience, kept, law: as of `angular_factor`.
+        cost: of an observation on average, over what it is where the covariance is right.
     """
     assert experience.astray is not None
-    return law.direction * float(
-        np.exp(law.of_astray * experience.astray + 2 * experience.turned)
-        * max(cost, law.least_cost) ** law.of_cost_direction
-    )
+    off = float(np.exp(experience.turned + experience.astray)) * max(cost, law.least_cost)
+    return law.direction * off**2 / max(kept, law.least)
 
 
 def _angle(a: Array, b: Array, unknown: float) -> float:

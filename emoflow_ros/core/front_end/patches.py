@@ -71,11 +71,6 @@ class Patches:
         """Those that the newest slice shows, (N,)."""
         return self.followed(0)
 
-    @property
-    def times_seen(self) -> float:
-        """Number of slices on average that show one of `shown`; 0 without any."""
-        return float(self.found[self.shown].sum(axis=1).mean()) if self.shown.any() else 0.0
-
     def followed(self, patience: int) -> Mask:
         """Those that were missing in so many of the newest slices at most, (N,)."""
         return self.found[:, -1 - patience :].any(axis=1)
