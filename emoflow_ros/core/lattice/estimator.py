@@ -166,7 +166,6 @@ class LatticeEstimator:
     def _fit_warm(self, events: WindowEvents) -> str:
         """Correct a prediction of flow and motion from coarse to fine."""
         fit = self._fit
-        fit.step_px = np.inf
         few = events.every(max(1, len(events) // LATTICE.coarse_events))
         for scale, steps in ((0.25, 2), (0.5, 1)) if fit.known is None else ((0.5, 1),):
             for _ in range(steps):
@@ -178,16 +177,15 @@ class LatticeEstimator:
 
     def _refine(self, events: WindowEvents, steps: int, *, hurry: bool) -> str:
         """Step at full resolution; before the last step look for another motion."""
-        fit = self._fit
-        stop = "iterations"
+        fit, stop = self._fit, "iterations"
         for k in range(steps):
-            last = k == steps - 1 or fit.step_px < LATTICE.converged_px
+            last = k == steps - 1
             if not last and hurry and self._late():
                 stop, last = "deadline", True
             fit.linearise(events, 1.0)
             if last and self._reconsider(fit.free_flow()):
                 fit.structure = None
-                for _ in range(LATTICE.steps_after_change):
+                for _ in range(self.config.warm_iterations):
                     fit.linearise(events, 1.0)
                     self._step()
                     if hurry and self._late():
@@ -197,7 +195,7 @@ class LatticeEstimator:
             self._step()
             if last:
                 break
-        return "converged" if fit.step_px < LATTICE.converged_px else stop
+        return stop
 
     def _step(self) -> None:
         if self._model is MotionModel.ROTATION:

@@ -77,7 +77,6 @@ class LatticeFit:
         front: 1 if the scene lies in front of a camera that moves along the motion's v, -1 if along
             -v, 0 if that is not known.
         evidence: (nodes, 2, 2) the events' information on the flow where last linearised.
-        step_px: root mean square of the last step of the flow.
     """
 
     def __init__(
@@ -96,7 +95,6 @@ class LatticeFit:
         self.known: KnownRotation | None = None
         self.front = 0.0
         self.evidence = np.zeros((lattice.columns * lattice.rows, 2, 2))
-        self.step_px = 0.0
         self._equations = NormalEquations(lattice, MOTION_UNKNOWNS)
         of_w, of_v = config.motion_stiffness * np.stack(
             [change.T @ change for change in np.split(_CHANGE, 2)]
@@ -224,7 +222,6 @@ class LatticeFit:
         diagonal += 1e-6 * diagonal + 1e-9
 
     def _move(self, step: Array) -> None:
-        self.step_px = float(np.sqrt(step @ step / len(step)))
         self.flow = (self.flow + step.reshape(self.lattice.shape)).astype(np.float32)
 
     def _require_motion(self) -> Motion:

@@ -99,7 +99,7 @@ class EstimateReader:
         squares = ((flow - epipolar.b @ w) ** 2).sum(axis=-1)
         parallax = float(np.sqrt(evidence @ squares / max(float(evidence.sum()), 1e-9)))
         known = None if free.known is None else free.known[1]
-        covariance = possible.covariance(parallax, epipolar.px_per_rad, known, sized=known is None)
+        covariance = possible.covariance(parallax, epipolar.px_per_rad, known)
         across = np.zeros((6, 6))
         across[:3, 3:] = np.eye(3) - np.outer(v, v)
         across[3:, :3] = np.eye(3) / window.duration
@@ -124,7 +124,7 @@ class EstimateReader:
         w, possible = here.w[0], PossibleMotions.weigh((here.w[0], v), here, others, rotation)
         if self._config.model == MotionModel.ROTATION:
             w, possible = rotation.w[0], PossibleMotions(np.zeros(6), np.zeros((6, 6)))
-        covariance = possible.covariance(1.0, epipolar.px_per_rad, sized=False)[:3, :3]
+        covariance = possible.covariance(1.0, epipolar.px_per_rad)[:3, :3]
         bend = 0.0 if fit.known is None else fit.known.bend
         return w + possible.mean[:3] + bend, covariance
 

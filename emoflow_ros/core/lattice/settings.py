@@ -32,8 +32,6 @@ class LatticeSettings:
         longest_gap_s: a longer gap ends a warm start: dropped windows are such gaps, and a cold
             start takes longer, s.
         coarse_events: number of events that are enough at reduced resolution.
-        converged_px: step of the flow below which a fit has converged, px.
-        steps_after_change: further steps where motion model or direction have changed.
         on_one_side: agreement on the sign of v from which the fit relies on it.
         switch: share of the present residual cost by which another direction must be cheaper.
         straight_px: flow of rotation that a camera which does not rotate may have, px per window.
@@ -44,7 +42,8 @@ class LatticeSettings:
         information_excess: information of the normal equations over the true one. It is too large,
             because errors of events are not independent: many come from one edge, and the lattice
             smooths their errors into each other.
-        flow_error_px: systematic error of a node's flow, the same in many windows, px.
+        flow_error_px: error of the flow that nodes and windows share, so that no residual shows it,
+            px per window.
         slope_error: standard deviation that is added to half of the change of w by a gyro, rad/s.
         least_flow_px: flow that cannot be told from zero, px per window.
         directions: number of directions of v over the hemisphere, about 16 degrees apart.
@@ -56,12 +55,6 @@ class LatticeSettings:
             depth edges and of the lattice between its nodes. A rotation may leave no more, either.
         usual_misfit: least residual cost over what lasting_px2 explains, median over windows.
         least_misfit, most_misfit: bounds of a window's misfit over the usual one.
-        of_w_px, of_v_px: error of the flow that the residuals do not show, as it comes into w and
-            into v, px per window.
-        least_parallax_px: flow by translation that v is measured by at least, px.
-        of_sized, of_unsized: variance of v over that of the possible motions, where motions of less
-            flow are likelier and costs have a temperature, and where neither is so.
-        least_angle: standard deviation of v that no flow takes away, rad: no calibration is exact.
         agree: spread of the possible directions up to which one is told, rad.
         one_spot: share of the image up to which the evidence is one spot.
         elsewhere: distance from a spot's middle, in its standard deviations, that is elsewhere.
@@ -107,8 +100,6 @@ class LatticeSettings:
     lost: float = 1.05
     longest_gap_s: float = 0.9
     coarse_events: int = 10_000
-    converged_px: float = 0.01
-    steps_after_change: int = 3
     on_one_side: float = 0.5
     switch: float = 0.2
     straight_px: float = 0.1
@@ -127,12 +118,6 @@ class LatticeSettings:
     usual_misfit: float = 0.13
     least_misfit: float = 0.2
     most_misfit: float = 5.0
-    of_w_px: float = 0.21
-    of_v_px: float = 0.09
-    least_parallax_px: float = 0.1
-    of_sized: float = 0.85
-    of_unsized: float = 1.5
-    least_angle: float = 0.02
     agree: float = 0.3
     one_spot: float = 0.35
     elsewhere: float = 2.5

@@ -7,8 +7,7 @@ leave the same residuals, the one that has to move less is likelier. How likely 
 exponentially with its cost. The estimate is the mean over them, and their spread is a part of its
 covariance.
 
-The second part is the error of the flow that the residuals do not show, the third an angle of v
-that no flow takes away. The weights of the parts are measured values.
+The other part is the error of the flow that the residuals do not show.
 """
 
 from dataclasses import dataclass
@@ -136,7 +135,7 @@ class PossibleMotions:
         return float(np.trace(self.spread[3:, 3:])) < LATTICE.agree**2
 
     def covariance(
-        self, parallax_px: float, px_per_rad: float, known: Array | None = None, *, sized: bool
+        self, parallax_px: float, px_per_rad: float, known: Array | None = None
     ) -> Array:
         """Covariance (6, 6) of (w, v), w in rad per window.
 
@@ -145,13 +144,10 @@ class PossibleMotions:
                 the more an error of the flow turns v.
             px_per_rad: focal length.
             known: (3, 3) information on w from elsewhere.
-            sized: whether motions of less flow were likelier, and the costs had a temperature.
         """
-        of_w = (LATTICE.of_w_px / px_per_rad) ** 2
-        parallax_px = max(parallax_px, LATTICE.least_parallax_px)
-        of_v = (LATTICE.of_v_px / parallax_px) ** 2 + LATTICE.least_angle**2
-        scale = np.repeat([1.0, np.sqrt(LATTICE.of_sized if sized else LATTICE.of_unsized)], 3)
-        covariance = np.outer(scale, scale) * self.spread + np.diag(np.repeat([of_w, of_v], 3))
+        of_w = LATTICE.flow_error_px / px_per_rad
+        of_v = LATTICE.flow_error_px / max(parallax_px, LATTICE.least_flow_px)
+        covariance = self.spread + np.diag(np.repeat([of_w, of_v], 3) ** 2)
         if known is None:
             return covariance
         information = np.linalg.inv(covariance)

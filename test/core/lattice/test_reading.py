@@ -12,7 +12,6 @@ from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.fit import FreeFlow, LatticeFit
 from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.reading import EstimateReader
-from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import PossibleMotions
 from emoflow_ros.core.types.estimate import MotionModel, Quality, Status
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
@@ -118,10 +117,10 @@ def test_the_spread_is_told_in_the_order_and_the_units_of_a_twist(reader, agreem
         read(reader, agreement=agreement, spread=spread).covariance
         - read(reader, agreement=agreement).covariance
     )
-    across, of_v = np.eye(3) - np.outer(V, V), LATTICE.of_sized
+    across = np.eye(3) - np.outer(V, V)
     np.testing.assert_allclose(added[3:, 3:], spread[:3, :3] / 0.09**2)
-    np.testing.assert_allclose(added[:3, :3], of_v * across @ spread[3:, 3:] @ across)
-    shared = np.sign(agreement) * of_v**0.5 * across @ spread[3:, :3] / 0.09
+    np.testing.assert_allclose(added[:3, :3], across @ spread[3:, 3:] @ across)
+    shared = np.sign(agreement) * across @ spread[3:, :3] / 0.09
     np.testing.assert_allclose(added[:3, 3:], shared)
     np.testing.assert_allclose(added[3:, :3], shared.T)
 
