@@ -10,6 +10,7 @@ from emoflow_ros.core.back_end.consistency import (
     Experience,
     angular_factor,
     direction_variance,
+    variance_by_gyro,
 )
 from emoflow_ros.core.back_end.scene import depths_now
 from emoflow_ros.core.back_end.settings import BackEndSettings
@@ -218,6 +219,8 @@ class RememberingEstimator:
             angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + spread
         speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
         linear, variance = np.zeros(3), direction_variance(experience, kept, cost, back.errors)
+        if by_gyro:
+            variance += variance_by_gyro(covariance[3:, 3:], speed, back.errors)
         if adjusted.translates and speed > 0:
             direction = motion.linear / speed
             of_direction = variance * (np.eye(3) - np.outer(direction, direction))

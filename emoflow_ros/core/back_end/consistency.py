@@ -98,6 +98,20 @@ def direction_variance(experience: Experience, kept: float, cost: float, law: Er
     return law.direction * off**2 / max(kept, law.least)
 
 
+def variance_by_gyro(angular: Array, speed: float, law: ErrorLaw) -> float:
+    """Variance of the direction about either axis by the error of a gyro's w, rad^2.
+
+    What a wrong w leaves of the flow looks like travel. What the adjustment shows does not tell of
+    it, for the lattice's direction is as wrong.
+
+    Args:
+        angular: (3, 3) covariance of w, (rad/s)^2.
+        speed: of the camera, mean depths per second.
+        law: what is made of it.
+    """
+    return law.of_gyro * float(np.trace(angular)) / 3 / max(speed, law.least) ** 2
+
+
 def _angle(a: Array, b: Array, unknown: float) -> float:
     """Angle between two vectors (3,), rad; `unknown` where one is zero."""
     if not (a.any() and b.any()):

@@ -9,12 +9,13 @@ import numpy as np
 class ErrorLaw:
     """How the variance of a motion's error goes with what shows it (core.back_end.consistency).
 
-    The two factors were fitted to the errors of 85 recordings, 77 of them random, some left out in
-    turn to see what it is worth (docs/experiments.md). Angles are in rad, times in s.
+    The factors were fitted to the errors of 85 recordings, 77 of them random, some left out in turn
+    to see what it is worth (docs/experiments.md). Angles are in rad, times in s.
 
     Attributes:
         angular: factor on the covariance of the angular velocity, 1/s.
         direction: factor on the variance of the direction.
+        of_gyro: share of the squared error of a gyro's w, over that of the speed, in that variance.
         first: factor on the lattice's covariance where the memory tells no motion yet.
         share: of the newest window in running means.
         usual_revision, usual_turn: before the first one.
@@ -25,6 +26,7 @@ class ErrorLaw:
 
     angular: float = 190.0
     direction: float = 0.37
+    of_gyro: float = 0.5
     first: float = 3.0
     share: float = 0.15
     usual_revision: float = 0.05

@@ -9,6 +9,7 @@ from emoflow_ros.core.back_end.consistency import (
     Experience,
     angular_factor,
     direction_variance,
+    variance_by_gyro,
 )
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import MotionAt
@@ -85,3 +86,11 @@ def test_the_error_of_the_direction_goes_with_revisions_and_the_lattice_s_direct
     assert direction_variance(seen, 0.8, 2.0, LAW) / usual == pytest.approx(4)
     # so few errors are not believed
     assert direction_variance(seen, 0.8, 0.1, LAW) == direction_variance(seen, 0.8, 0.2, LAW)
+
+
+def test_the_error_of_a_gyro_s_w_turns_the_direction_the_more_the_slower_the_camera_is():
+    covariance = np.diag([1.0, 2.0, 3.0]) * SD**2
+    fast = variance_by_gyro(covariance, 0.4, LAW)
+    assert fast == pytest.approx(0.5 * 2 * SD**2 / 0.4**2)
+    assert variance_by_gyro(covariance, 0.2, LAW) == pytest.approx(4 * fast)
+    assert np.isfinite(variance_by_gyro(covariance, 0.0, LAW))
