@@ -7,7 +7,7 @@ import pytest
 from test_remembering import Run, run_of
 
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
-from emoflow_ros.core.back_end.consistency import Experience
+from emoflow_ros.core.back_end.consistency import Experience, variance_by_gyro
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import interpolated
@@ -157,6 +157,28 @@ def test_ways_and_times_of_the_nodes_stay_in_step(calm: Run):
         ways = max(ways, len(state.hypotheses.ways) if state.hypotheses else 0)
     assert taken > len(memory.odometry.t)  # some were forgotten
     assert ways > 1
+
+
+def test_with_a_gyro_the_error_of_its_w_widens_the_direction(calm: Run):
+    law, told = BackEndSettings().errors, []
+    camera = calm.recording.camera
+    for of_gyro in (0.0, law.of_gyro):
+        lattice = LatticeEstimator(camera, LatticeConfig())
+        back = BackEndSettings(errors=replace(law, of_gyro=of_gyro))
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+        memory = reader.nothing()
+        for window in calm.windows[:6]:
+            found = replace(lattice.estimate(window), gyro=GyroStatus(GyroState.USED))
+            memory, estimate = reader.step(memory, window, found)
+        told.append(estimate)
+    motion = memory.odometry.motion(found.t)
+    assert motion is not None
+    speed = float(np.linalg.norm(motion.linear))
+    variance = variance_by_gyro(found.covariance[3:, 3:], speed, law)
+    without, using = told
+    across = np.eye(3) - np.outer(using.linear, using.linear)
+    assert using.linear.any() and variance > 1e-6
+    assert using.covariance[:3, :3] - without.covariance[:3, :3] == pytest.approx(variance * across)
 
 
 @pytest.mark.parametrize("gyro", [GyroState.NONE, GyroState.USED])

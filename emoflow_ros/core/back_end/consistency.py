@@ -2,9 +2,9 @@
 
 Errors of tracks are outliers rather than noise, and a search may end in a wrong minimum: neither
 shows in the normal equations. What does show is a motion that the next adjustment revises, patches
-that are lost, slow events, whose windows are long, and another motion that the lattice measures.
-Which of these the variance of the error goes with, and by which powers, was found on the errors of
-recordings (docs/experiments.md).
+that are lost, slow events, whose windows are long, places that do not fit, and another motion that
+the lattice measures. Which of these the variance of the error goes with, and by which powers, was
+found on the errors of recordings (docs/experiments.md).
 """
 
 from dataclasses import dataclass, field

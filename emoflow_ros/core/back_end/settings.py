@@ -9,17 +9,17 @@ import numpy as np
 class ErrorLaw:
     """How the variance of a motion's error goes with what shows it (core.back_end.consistency).
 
-    The factors were fitted to the errors of 85 recordings, 77 of them random, some left out in turn
-    to see what it is worth (docs/experiments.md). Angles are in rad, times in s.
+    Powers and factors were chosen on the errors of 85 recordings, 77 of them random, some left out
+    in turn to see what it is worth (docs/experiments.md). Angles are in rad, times in s.
 
     Attributes:
         angular: factor on the covariance of the angular velocity, 1/s.
         direction: factor on the variance of the direction.
-        of_gyro: share of the squared error of a gyro's w, over that of the speed, in that variance.
+        of_gyro: share in it of the variance of a gyro's w over the squared speed.
         first: factor on the lattice's covariance where the memory tells no motion yet.
         share: of the newest window in running means.
         usual_revision, usual_turn: before the first one.
-        least: added to each, and the least share of patches that counts: chance tells nothing.
+        least: added to each; the least share of patches, and the least speed (1/s), that count.
         least_cost: of an observation: fewer errors than expected are not believed.
         unknown_angle: that counts where a direction is unknown.
     """

@@ -47,7 +47,10 @@ class LatticeConfig:
         0.3, "weight of the motion's change within the window", minimum=0.0, maximum=1e6
     )
     warm_iterations: int = option(
-        3, "steps at full resolution after a warm start", minimum=1, maximum=100
+        3,
+        "steps at full resolution after a warm start, and where the motion turns out to be another",
+        minimum=1,
+        maximum=100,
     )
     cold_iterations: int = option(
         6, "steps at full resolution after a cold start", minimum=1, maximum=100

@@ -7,6 +7,8 @@ import pytest
 from present_runs import LATE_NS, SLICE_NS, degrees, last, run
 
 from emoflow_ros.core.geometry.camera_motion import SplineMotion
+from emoflow_ros.core.products import present_motion
+from emoflow_ros.core.products.settings import PRESENT
 from emoflow_ros.core.stream.thinning import spread
 from emoflow_ros.core.types.estimate import MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
@@ -33,7 +35,9 @@ def test_it_follows_a_motion_that_changes_where_the_last_window_does_not() -> No
     assert 0.3 < np.mean(squares) < 3
 
 
-def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
+def test_variance_grows_with_the_change_that_the_window_did_not_tell(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """As by a random walk that is as fast, besides what window and fit leave open."""
     its, estimate = last("agile")
     present = its.present()
@@ -53,6 +57,10 @@ def test_variance_grows_with_the_change_that_the_window_did_not_tell() -> None:
     before = estimate.covariance[3:, 3:] + 8 * estimate.angular_walk * seconds * np.eye(3)
     assert np.linalg.eigvalsh(of_fit).min() > 0
     assert np.linalg.eigvalsh(0.2 * before - of_fit).min() > 0  # the slice told something
+    monkeypatch.setattr(present_motion, "PRESENT", replace(PRESENT, of_fit=2 * PRESENT.of_fit))
+    twice = present.estimate(its.slice(t))
+    assert twice is not None
+    assert twice.covariance[3:, 3:] - found.covariance[3:, 3:] == pytest.approx(of_fit)
     assert square > np.radians(1) ** 2
 
 
