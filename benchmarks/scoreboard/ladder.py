@@ -108,7 +108,9 @@ def measure(material: Material) -> Errors:
     fit = LatticeEstimator(material.calibration, config.estimator)
     alone = MotionWindows(fit, material.calibration, config.window)
     lattice = BoundedWindows(CleanWindows(alone, material.calibration), config.event_budget)
-    reader = RememberingEstimator(lattice, material.calibration, lambda estimate, depths: estimate)
+    reader = RememberingEstimator(
+        lattice, material.calibration, lambda estimate, depths: (estimate, None)
+    )
     memories = dict.fromkeys(("truth", "starts", "own"), reader.nothing())
     errors = Errors()
     for window in WindowSlicer(config.window).push(material.events):

@@ -250,12 +250,13 @@ class Odometry:
             walks = state.walks.learnt(found, known.seconds, back)
         except np.linalg.LinAlgError:
             return self.start()
-        depths = patches.inverse_depth.copy()
+        depths, of_depth = patches.inverse_depth.copy(), patches.of_depth.copy()
         depths[used] = found.x.inverse_depth
+        of_depth[used] = found.of_depth - 1 / back.depth_sd**2
         return replace(
             state,
             x=found.x._replace(inverse_depth=np.zeros(0)),
-            patches=replace(patches, inverse_depth=depths),
+            patches=replace(patches, inverse_depth=depths, of_depth=of_depth),
             walks=walks,
             adjusted=found,
             hypotheses=hypotheses,

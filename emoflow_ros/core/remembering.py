@@ -12,7 +12,7 @@ from emoflow_ros.core.back_end.consistency import (
     direction_variance,
     variance_by_gyro,
 )
-from emoflow_ros.core.back_end.scene import depths_now
+from emoflow_ros.core.back_end.known_depths import known_depths
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt, interpolated
 from emoflow_ros.core.front_end.settings import FrontEndSettings
@@ -22,7 +22,7 @@ from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.bending import Bend
 from emoflow_ros.core.lattice.field import LatticeFlow
 from emoflow_ros.core.lattice.preparation import WorkingImage
-from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.lattice.refinement import Depths, ShownFlow
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
 from emoflow_ros.core.types.estimate import (
@@ -52,11 +52,13 @@ class Memory:
         odometry: nodes, patches and what they tell.
         experience: of what adjustments are worth.
         end: of the last slice, ns; None before the first one.
+        shown: flows of windows within the nodes.
     """
 
     odometry: State
     experience: Experience
     end: int | None = None
+    shown: tuple[ShownFlow, ...] = ()
 
 
 class RememberingEstimator:
@@ -68,7 +70,7 @@ class RememberingEstimator:
     Args:
         estimator: of the windows' flow.
         camera: whose pixels the events lie on.
-        refine: fits the flow of a window again, once its motion is known.
+        refine: fits the flow of a window again, once its motion is known, and tells what it shows.
         front: settings of the front end.
         back: settings of the back end.
 
@@ -78,7 +80,7 @@ class RememberingEstimator:
 
     def __init__(
         self, estimator: Estimator, camera: Camera,
-        refine: Callable[[Estimate, Depths], Estimate],
+        refine: Callable[[Estimate, Depths], tuple[Estimate, ShownFlow | None]],
         front: FrontEndSettings | None = None, back: BackEndSettings | None = None,
     ) -> None:  # fmt: skip
         self._estimator = estimator
@@ -120,11 +122,13 @@ class RememberingEstimator:
             state = self._taken(self._odometry.start(), window, end, found)
         if not (seen or self._follows(before, state)):
             return replace(memory, end=end), found
-        memory, motion = Memory(state, memory.experience, window.t_end), state.motion(found.t)
+        shown = tuple(flow for flow in memory.shown if flow.t >= state.t[0])
+        memory = Memory(state, memory.experience, window.t_end, shown)
+        motion = state.motion(found.t)
         if motion is None:
             return memory, self._first(found)
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
-        return memory, self._read(window, found, state, motion, memory.experience)
+        return self._read(window, found, memory, motion)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
@@ -192,15 +196,11 @@ class RememberingEstimator:
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
     def _read(
-        self,
-        window: Window,
-        found: Estimate,
-        state: State,
-        motion: MotionAt,
-        experience: Experience,
-    ) -> Estimate:
+        self, window: Window, found: Estimate, memory: Memory, motion: MotionAt
+    ) -> tuple[Memory, Estimate]:
         """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
-        back, adjusted, hypotheses = self._odometry.back, state.adjusted, state.hypotheses
+        state, experience, back = memory.odometry, memory.experience, self._odometry.back
+        adjusted, hypotheses = state.adjusted, state.hypotheses
         assert adjusted is not None and hypotheses is not None
         spread, spread_of_direction = hypotheses.spread(state.t, found.t)
         cost, seconds = adjusted.mean_cost(back), window.duration
@@ -247,14 +247,16 @@ class RememberingEstimator:
             motion=told,
             angular_walk=state.walks.angular,
         )
-        flow = self._refined(estimate, told, state, variance)
+        flow, shown = self._refined(estimate, told, memory, variance)
         if isinstance(flow, LatticeFlow):
             flow = self._bent(flow, told)
-        return replace(estimate, flow=flow)
+        if shown is not None:
+            memory = replace(memory, shown=(*memory.shown, shown))
+        return memory, replace(estimate, flow=flow)
 
     def _refined(
-        self, estimate: Estimate, told: AdjustedMotion, state: State, variance: float
-    ) -> FlowSampler | None:
+        self, estimate: Estimate, told: AdjustedMotion, memory: Memory, variance: float
+    ) -> tuple[FlowSampler | None, ShownFlow | None]:
         """Fit the flow again along the likeliest way, which the depths belong to.
 
         That way may translate though its direction is too uncertain to be told. Its w, too, is what
@@ -263,10 +265,14 @@ class RememberingEstimator:
         Args:
             estimate: of the window.
             told: its motion.
-            state: with its slices.
+            memory: with its slices.
             variance: of the direction of translation, rad^2.
+
+        Returns:
+            The flow, and what it shows.
         """
-        assert state.adjusted is not None and state.hypotheses is not None
+        state = memory.odometry
+        assert state.x is not None and state.adjusted is not None and state.hypotheses is not None
         way, model, direction = state.hypotheses.ways[0], MotionModel.ROTATION, np.zeros(3)
         covariance = without_translation(estimate.covariance)
         velocity = interpolated(state.t, way, estimate.t)[1]
@@ -279,18 +285,10 @@ class RememberingEstimator:
         likeliest = replace(
             estimate, model=model, linear=direction, covariance=covariance, motion=motion
         )
-        return self._refine(likeliest, self._depths(state, speed, likeliest)).flow
-
-    def _depths(self, state: State, speed: float, estimate: Estimate) -> Depths:
-        """Depths of the patches that the newest slice shows, in the middle of the window.
-
-        In a window without a flow they stay where that slice shows them.
-        """
-        patches, x = state.patches, state.x
-        assert x is not None
-        known = patches.shown & np.isfinite(patches.inverse_depth)
-        depth = depths_now(patches, x, self._odometry.back.depths)[known]
-        points = patches.place[known] * self.image.sensor_px
-        if estimate.flow is not None:
-            points = estimate.flow.tracks(points, [int(state.t[-1]), estimate.t])[1]
-        return Depths(points, speed * depth)
+        depths = known_depths(
+            state.patches, state.x, memory.shown, motion, estimate, self.image, self._odometry.back
+        )
+        again, shown = self._refine(
+            likeliest, replace(depths, inverse_depth=speed * depths.inverse_depth)
+        )
+        return again.flow, shown

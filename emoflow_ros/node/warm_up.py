@@ -50,7 +50,9 @@ def warm_up_memory() -> None:
     """Follow and adjust patches of the same events, with a flow that is told: without a lattice."""
     from emoflow_ros.core.remembering import RememberingEstimator
 
-    memory = RememberingEstimator(_Told(), WARM_UP_CAMERA, lambda estimate, depths: estimate)
+    memory = RememberingEstimator(
+        _Told(), WARM_UP_CAMERA, lambda estimate, depths: (estimate, None)
+    )
     for window, _ in _windows(WARM_UP_ENDS):
         memory.estimate(window)
 

@@ -165,7 +165,7 @@ def test_a_motion_that_begins_at_once_is_followed():
 def test_a_window_s_wrong_motion_does_not_refute_places_that_fit(calm: Run):
     camera = calm.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda estimate, depths: estimate)
+    reader = RememberingEstimator(lattice, camera, lambda estimate, depths: (estimate, None))
     memory = reader.nothing()
     for window in calm.windows[:-1]:
         memory, _ = reader.step(memory, window, lattice.estimate(window))
@@ -184,7 +184,7 @@ def test_a_direction_is_told_only_where_it_is_sure_enough(calm: Run):
     for widest in (60.0, 1.0):
         lattice = LatticeEstimator(camera, LatticeConfig())
         back = BackEndSettings(widest_direction_deg=widest)
-        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None), back=back)
         memory = reader.nothing()
         for window in calm.windows[:6]:
             memory, estimate = reader.step(memory, window, lattice.estimate(window))
@@ -208,7 +208,7 @@ def test_patches_learn_what_a_turned_flow_shows_after_the_adjustment(calm: Run):
     for turned in (0.1, 2.0):  # sine: sometimes, never
         lattice = LatticeEstimator(camera, LatticeConfig())
         front = FrontEndSettings(turned=turned)
-        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, front)
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None), front)
         memory = reader.nothing()
         for window in calm.windows[:6]:
             memory, _ = reader.step(memory, window, lattice.estimate(window))
@@ -244,7 +244,7 @@ def by_positions(
     """Angular velocity by the memory, told that windows are off the truth, and sure."""
     camera = run.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
     memory = reader.nothing()
     for window in run.windows[:6]:
         found = lattice.estimate(window)

@@ -46,7 +46,7 @@ def last_of(run: Run, *, warm: bool = True) -> Estimate:
     """Estimate the sixth window by its last part, whose flow is said to be warm or cold."""
     camera = run.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
     memory = reader.nothing()
     for window in run.windows[:6]:
         found = lattice.estimate(window)
@@ -103,7 +103,7 @@ def test_half_the_squared_distance_to_the_lattice_s_w_in_the_window_is_added(
     founds[-1] = replace(founds[-1], angular=founds[-1].angular + off)
 
     def last() -> Estimate:
-        reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
         memory = reader.nothing()
         for window, found in zip(calm.windows, founds, strict=False):
             memory, estimate = reader.step(memory, window, found)
@@ -143,7 +143,7 @@ def test_a_direction_that_is_wide_on_one_axis_is_not_told(
 def test_ways_and_times_of_the_nodes_stay_in_step(calm: Run):
     camera = calm.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
     memory, taken, ways = reader.nothing(), 0, 0
     for window in calm.windows:
         before = memory.odometry.t
@@ -165,7 +165,7 @@ def test_with_a_gyro_the_error_of_its_w_widens_the_direction(calm: Run):
     for of_gyro in (0.0, law.of_gyro):
         lattice = LatticeEstimator(camera, LatticeConfig())
         back = BackEndSettings(errors=replace(law, of_gyro=of_gyro))
-        reader = RememberingEstimator(lattice, camera, lambda e, depths: e, back=back)
+        reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None), back=back)
         memory = reader.nothing()
         for window in calm.windows[:6]:
             found = replace(lattice.estimate(window), gyro=GyroStatus(GyroState.USED))
@@ -185,7 +185,7 @@ def test_with_a_gyro_the_error_of_its_w_widens_the_direction(calm: Run):
 def test_a_first_window_is_less_sure_than_the_lattice(calm: Run, gyro: GyroState):
     camera = calm.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: e)
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
     found = replace(lattice.estimate(calm.windows[0]), gyro=GyroStatus(gyro))
     covariance = np.diag([0.01, 0.02, 0.03, 0.1, 0.2, 0.3])
     known = replace(found, model=MotionModel.FULL, linear=np.eye(3)[0], covariance=covariance)

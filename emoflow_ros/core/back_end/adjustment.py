@@ -34,6 +34,7 @@ class Adjusted:
         matrix: (U, U) normal equations of the free unknowns of the nodes, depths taken out.
         free: (U,) which unknowns of the nodes these are.
         translates: False where the camera was held at one place.
+        of_depth: (J,) information on each patch's inverse depth along this way.
     """
 
     x: Unknowns
@@ -42,6 +43,7 @@ class Adjusted:
     matrix: Array
     free: NDArray[np.int64]
     translates: bool
+    of_depth: Array
 
     @cached_property
     def covariance(self) -> Array:
@@ -66,7 +68,8 @@ class Adjusted:
         # in the order of a node's unknowns
         by_kind = np.repeat([1.0, 1 / scale, 1.0, 1 / scale], 3)
         factor = np.tile(by_kind, len(x.position))[self.free]
-        return replace(self, x=x, matrix=factor[:, None] * self.matrix * factor)
+        matrix = factor[:, None] * self.matrix * factor
+        return replace(self, x=x, matrix=matrix, of_depth=scale**2 * self.of_depth)
 
 
 def of_unit_depth(x: Unknowns) -> tuple[Unknowns, float]:
@@ -102,8 +105,8 @@ def adjust(
     x, cost = descend(observations, start, prior, outlier, steps, free, depths)
     if not np.isfinite(cost):
         raise np.linalg.LinAlgError("the cost is not finite")
-    squares, matrix = linearised(observations, x, prior, outlier, free)
-    return Adjusted(x, cost, squares, matrix, free, translates)
+    squares, matrix, of_depth = linearised(observations, x, prior, outlier, free)
+    return Adjusted(x, cost, squares, matrix, free, translates, of_depth)
 
 
 def free_unknowns(nodes: int, *, translates: bool) -> NDArray[np.int64]:

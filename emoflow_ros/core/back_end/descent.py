@@ -78,17 +78,18 @@ def descend(
 @_compiled
 def linearised(
     o: Observations, x: Unknowns, prior: Prior, outlier: float, free: Index
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Squares (O,) of the observations over their variance, and normal equations at `descend`'s x.
 
     Returns:
-        Squares, and the equations (U, U) of the free unknowns, depths taken out.
+        Squares, the equations (U, U) of the free unknowns, depths taken out, and the information
+        (J,) on each depth along this way.
     """
     squares, e = np.empty(len(o.patch)), _equations(o, x)
     observation_cost(o, x, outlier, squares)
     share, share_right = _linearise(o, x, prior, outlier, e)
     _take(e.matrix, e.right, share, share_right, 1.0)
-    return squares, _chosen(e.matrix, free)
+    return squares, _chosen(e.matrix, free), e.own
 
 
 @_compiled

@@ -78,6 +78,9 @@ class BackEndSettings:
         expected_cost: mean robust cost of an observation where the covariance is right.
         errors: how far a motion is to be believed.
         widest_direction_deg: standard deviation of a direction that is reported, deg.
+        patch_depth_sd, node_depth_sd: standard deviation of an inverse depth over the mean one, by
+            a patch's places or a window's flow, at which it counts half in the scene's depths:
+            places are too sure of it.
         steps: of the adjustment at most.
         guess: bounds like `outlier` that the adjustment of a guess begins with, and steps.
     """
@@ -112,6 +115,8 @@ class BackEndSettings:
     expected_cost: float = 0.25
     errors: ErrorLaw = ErrorLaw()
     widest_direction_deg: float = 60.0
+    patch_depth_sd: float = 0.03
+    node_depth_sd: float = 0.3
     steps: int = 5
     guess: tuple[tuple[float, int], ...] = ((6.0, 3), (2.0, 2))
 

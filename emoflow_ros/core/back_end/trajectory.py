@@ -117,10 +117,16 @@ def interpolated(times: Times, x: Unknowns, t: int) -> tuple[Array, Array, tuple
         camera's frame; node before t, and share of the way to the next one.
     """
     node, share = _between(times, t)
-    step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
-    rotation = rotated(x.rotation[node], share * step)
+    rotation, _ = pose(times, x, t)
     velocity = _mixed(x.velocity, node, share)
     return _mixed(x.angular, node, share), rotation.T @ velocity, (node, share)
+
+
+def pose(times: Times, x: Unknowns, t: int) -> tuple[Array, Array]:
+    """Interpolate rotation (3, 3) to the common frame and position (3,) at a time (ns)."""
+    node, share = _between(times, t)
+    step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
+    return rotated(x.rotation[node], share * step), _mixed(x.position, node, share)
 
 
 def _between(times: Times, t: int) -> tuple[int, float]:

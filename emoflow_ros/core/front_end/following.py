@@ -149,7 +149,7 @@ def choose(picture: Slice, patches: Patches, camera: Camera, settings: FrontEndS
         power(half),
         toward,
         np.tile(np.eye(2), (count, 1, 1)),
-        points, seen, root, found, np.full(count, np.nan),
+        points, seen, root, found, np.full(count, np.nan), np.zeros(count),
     )  # fmt: skip
     return patches.joined(new) if patches.found.shape[1] else new
 

@@ -31,6 +31,7 @@ class Patches:
         found: (N, K) whether it was seen.
         inverse_depth: (N,) at the first of the slices that shows it, over the median one; NaN
             where nothing is known.
+        of_depth: (N,) information on it by the places, along the way as it was adjusted.
     """
 
     born: Index
@@ -44,6 +45,7 @@ class Patches:
     root: Array
     found: Mask
     inverse_depth: Array
+    of_depth: Array
 
     def __len__(self) -> int:
         return len(self.born)
@@ -63,6 +65,7 @@ class Patches:
             np.zeros((0, 0, 2)),
             np.zeros((0, 0, 2, 2)),
             np.zeros((0, 0), np.bool_),
+            np.zeros(0),
             np.zeros(0),
         )
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.special import expit
 
 from emoflow_ros.core.geometry.camera import Camera
@@ -16,6 +17,7 @@ from emoflow_ros.core.geometry.camera_motion import motion_field
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.kernels import MARGIN
+from emoflow_ros.core.lattice.known import Structure
 from emoflow_ros.core.lattice.refinement import Depths, rotation_at_ends
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
@@ -34,10 +36,15 @@ class Rigid(NamedTuple):
     Attributes:
         flow: (columns, rows, 2, 2) px per window.
         contrast: (columns, rows) around each node, of events warped along it.
+        inverse_depth: (columns, rows) travelled distances per window; None where the camera only
+            rotates.
+        near: (columns, rows) how many depths are known near each node.
     """
 
     flow: Array
     contrast: Array
+    inverse_depth: Array | None = None
+    near: Array | None = None
 
 
 class Blend:
@@ -71,6 +78,11 @@ class Blend:
             for side, nodes in ((width, self._columns), (height, self._rows))
         )
 
+        self._spreads = [
+            (weight, *(_spread(nodes, reach) for nodes in (self._columns, self._rows)))
+            for reach, weight in LATTICE.depth_reaches
+        ]
+
     @property
     def _columns(self) -> Array:
         return np.linspace(0, self.fine.width - 1, self.fine.columns)
@@ -91,14 +103,30 @@ class Blend:
             None where the camera travels and no depth is known.
         """
         flow = np.einsum("nij,tj->nti", self._b, rotation_at_ends(estimate))
+        rho = near = None
         if estimate.translation_observable:
-            if not len(depths.points):
+            if not depths.weight.any():
                 return None
             seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
-            rho = self._between(depths.points, seconds * depths.inverse_depth).reshape(-1, 1)
-            flow = flow + (rho * (self._a @ estimate.linear))[:, None]
+            rho, near = self._between(replace(depths, inverse_depth=seconds * depths.inverse_depth))
+            flow = flow + (rho.reshape(-1, 1) * (self._a @ estimate.linear))[:, None]
         flow = flow.reshape(self.fine.shape)
-        return Rigid(flow, self._around(events, flow))
+        return Rigid(flow, self._around(events, flow), rho, near)
+
+    def structure(self, rigid: Rigid, error: float) -> Structure | None:
+        """Depths at the lattice's nodes, as another fit takes them.
+
+        Args:
+            rigid: the scene.
+            error: standard deviation of a depth that is known nearby, over it.
+        """
+        if rigid.inverse_depth is None or rigid.near is None:
+            return None
+        rho, near = (
+            f[:: LATTICE.closer, :: LATTICE.closer] for f in (rigid.inverse_depth, rigid.near)
+        )
+        information = near / (1 + near) / (error * rho) ** 2
+        return Structure(rho.ravel(), information.ravel())
 
     def start(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """What another fit begins with: the rigid scene where the lattice is hardly sharper.
@@ -110,28 +138,33 @@ class Blend:
         begin = np.where((self._usable & hardly)[:, :, None, None], rigid.flow, own)
         return np.ascontiguousarray(begin[::closer, ::closer], np.float32)
 
-    def _between(self, points: Array, rho: Array) -> Array:
-        """Inverse depths (columns, rows) by local linear regression, in which near points count.
+    def _between(self, depths: Depths) -> tuple[Array, Array]:
+        """Inverse depths by local linear regression, in which near points count, and their number.
 
         So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of
-        a lens without distortion (Cleveland and Devlin, JASA 1988).
+        a lens without distortion (Cleveland and Devlin, JASA 1988). Both are (columns, rows).
         """
+        points, rho = depths.points, depths.inverse_depth
         middle = points.mean(axis=0)
         x, y = (points - middle).T
         known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
-        sums = np.zeros((len(known), self.fine.columns, self.fine.rows))
-        for reach, weight in LATTICE.depth_reaches:
-            by_column = _near(points[:, 0], self._columns, reach)
-            by_row = _near(points[:, 1], self._rows, reach)
-            sums += weight * ((by_column * known[:, None]) @ by_row.T)
-        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(sums[0], np.finfo(float).tiny)
+        known *= depths.weight
+        at_nodes = (_shares(points, self.fine) @ known.T).T
+        at_nodes = at_nodes.reshape(-1, self.fine.columns, self.fine.rows)
+        sums = sum(
+            weight * (by_column @ at_nodes @ by_row) for weight, by_column, by_row in self._spreads
+        )
+        number, tiny = sums[0], np.finfo(float).tiny
+        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(number, tiny)
         own = LATTICE.slope_px**2
         xx, xy, yy = xx - x * x + own, xy - x * y, yy - y * y + own
         rx, ry = rx - mean * x, ry - mean * y
         to_x, to_y = (self._columns - middle[0])[:, None] - x, self._rows - middle[1] - y
         slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
         found = mean + slope / (xx * yy - xy * xy)
-        return np.clip(found, rho.min() / LATTICE.beyond, rho.max() * LATTICE.beyond)
+        counts = rho[depths.weight > 0]
+        found = np.clip(found, counts.min() / LATTICE.beyond, counts.max() * LATTICE.beyond)
+        return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * number
 
     def __call__(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """Blend by the contrast around each node, (columns, rows, 2, 2) px per window of `fine`.
@@ -156,6 +189,31 @@ class Blend:
         self._contrast.sharpen(events, flow.astype(np.float32))
         squares = self._contrast.image.astype(np.float64) ** 2
         return np.asarray(self._by_column @ squares.T @ self._by_row.T + _LEAST)
+
+
+def _shares(points: Array, lattice: Lattice) -> csr_array:
+    """Matrix (nodes, N) that hands points (N, 2) px on to the four nodes around each."""
+    most = np.array([lattice.columns, lattice.rows]) - 1
+    place = np.clip(points * lattice.per_px, 0, most)
+    first = np.minimum(place.astype(int), most - 1)
+    node, share = [], []
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        near = 1 - np.abs(place - first - corner)
+        column, row = (first + corner).T
+        node.append(column * lattice.rows + row)
+        share.append(near[:, 0] * near[:, 1])
+    which = np.tile(np.arange(len(points)), 4)
+    shape = (lattice.columns * lattice.rows, len(points))
+    return csr_array((np.concatenate(share), (np.concatenate(node), which)), shape=shape)
+
+
+def _spread(nodes: Array, reach: float) -> Array:
+    """Gaussian weights (nodes, nodes) for what was handed on to the nodes around a point.
+
+    Handing on is a spread itself, of a sixth of the squared distance of the nodes.
+    """
+    apart = nodes[1] - nodes[0]
+    return _near(nodes, nodes, float(np.sqrt(max(reach**2 - apart**2 / 6, apart**2 / 4))))
 
 
 def _near(places: Array, nodes: Array, reach: float) -> Array:

@@ -26,7 +26,7 @@ from emoflow_ros.core.lattice.memory import Memory
 from emoflow_ros.core.lattice.motion_windows import MotionChange
 from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.reading import EstimateReader, with_gyro
-from emoflow_ros.core.lattice.refinement import Depths, refined
+from emoflow_ros.core.lattice.refinement import Depths, ShownFlow, refined
 from emoflow_ros.core.lattice.selection import rotates
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.uncertainty import PossibleMotions, temperature
@@ -77,28 +77,35 @@ class LatticeEstimator:
             found = self._estimate(window, measurement)
         return with_gyro(found, measurement, self.config)
 
-    def refined(self, estimate: Estimate, depths: Depths) -> Estimate:
+    def refined(self, estimate: Estimate, depths: Depths) -> tuple[Estimate, ShownFlow | None]:
         """Fit the flow of the last window again; where nothing was fitted, take a rigid scene's.
 
         Args:
             estimate: of the window, with a motion.
             depths: of the scene, at points on the sensor.
+
+        Returns:
+            The estimate with that flow, and what it shows of the scene.
         """
         depths = replace(depths, points=depths.points / self._image.sensor_px)
+        blend, events = self._blend, self._events
         with self._threads.limit(limits=1, user_api="blas"):
-            lattice, begin = self.lattice, self._fit.flow
-            rigid = self._blend.rigid(self._events, estimate, depths)
+            begin, structure = self._fit.flow, None
+            rigid = blend.rigid(events, estimate, depths)
             if rigid is not None:
-                begin = self._blend.start(self._events, begin, rigid)
-            found = refined(self._fit, begin, self._events, estimate)
+                begin = blend.start(events, begin, rigid)
+                structure = blend.structure(rigid, self.config.depth_drift)
+            found = refined(self._fit, begin, events, estimate, structure)
             if rigid is not None and found is not None:
-                lattice, found = self._blend.fine, self._blend(self._events, found, rigid)
+                lattice, flow = blend.fine, blend(events, found.flow, rigid)
             elif rigid is not None and estimate.flow is None:
-                lattice, found = self._blend.fine, rigid.flow.astype(np.float32)
-        if found is None:
-            return estimate
-        flow = LatticeFlow(*self._image.on_sensor(lattice, found), estimate.t_start, estimate.t_end)
-        return replace(estimate, flow=flow)
+                lattice, flow = blend.fine, rigid.flow.astype(np.float32)
+            elif found is not None:
+                lattice, flow = self.lattice, found.flow
+            else:
+                return estimate, None
+        told = LatticeFlow(*self._image.on_sensor(lattice, flow), estimate.t_start, estimate.t_end)
+        return replace(estimate, flow=told), found and found.shown
 
     def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
         self._iterations = 0

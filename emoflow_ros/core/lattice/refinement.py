@@ -6,16 +6,18 @@ positions knows the motion better: with it a static point's flow has one unknown
 
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.lattice.egomotion import Motion
+from emoflow_ros.core.lattice.egomotion import Motion, NodeEpipolar
 from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.known import (
     INFORMATION_EXCESS,
     KnownRotation,
     MotionPrior,
+    Structure,
 )
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import WindowEvents
@@ -36,13 +38,65 @@ class Depths:
     Attributes:
         points: (N, 2) px.
         inverse_depth: (N,) travelled distances per second.
+        weight: (N,) how much each counts, 1 where it is surely known.
     """
 
     points: Array
     inverse_depth: Array
+    weight: Array
 
 
-def refined(fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimate) -> F32 | None:
+class ShownFlow(NamedTuple):
+    """The flow of a window, which shows depths under any motion that the camera may have had.
+
+    Attributes:
+        t: the window's middle, ns.
+        seconds: its length.
+        epipolar: the constraint at the nodes.
+        flow: (nodes, 2) px per window, its mean.
+        evidence: (nodes, 2, 2) the events' information on it, in units of the normal equations.
+    """
+
+    t: int
+    seconds: float
+    epipolar: NodeEpipolar
+    flow: Array
+    evidence: Array
+
+    def inverse_depths(self, angular: Array, linear: Array) -> tuple[Array, Array, Array]:
+        """Inverse depths (nodes,), the information on them (nodes,), and how far they count.
+
+        The latter (nodes,) is 1 where the flow is along the epipolar line, 0 where it is not, for
+        something moves by itself.
+
+        Args:
+            angular: (3,) rad/s at that time.
+            linear: (3,) not zero, in the unit of the depths per second.
+        """
+        way = self.seconds * float(np.linalg.norm(linear))
+        w, v = self.seconds * angular, self.seconds * linear / way
+        found = Structure.observe(self.epipolar, self.flow, (w, v), self.evidence, None)
+        across = self.epipolar.residuals(self.flow[:, None], Motion(w[None], v[None])).r
+        static = self.epipolar.robust_weight(across)[:, 0]
+        return found.inverse_depth / way, way**2 * found.information, static
+
+
+class Refined(NamedTuple):
+    """A flow that was fitted again.
+
+    Attributes:
+        flow: (columns, rows, times, 2) px per window.
+        shown: what it shows of the scene; None where the camera only rotates.
+    """
+
+    flow: F32
+    shown: ShownFlow | None
+
+
+def refined(
+    fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimate,
+    structure: Structure | None = None,
+) -> Refined | None:  # fmt: skip
     """Fit a flow again; the fit stays as it is.
 
     Args:
@@ -50,10 +104,10 @@ def refined(fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimat
         begin: (columns, rows, times, 2) px per window, the flow to begin with.
         events: of the window.
         estimate: of the window, with the motion that is known.
+        structure: depths that are known, in travelled distances per window; None if none are.
 
     Returns:
-        (columns, rows, times, 2) px per window; None if there is no best flow, or no motion
-        was fitted.
+        None if there is no best flow, or no motion was fitted.
     """
     seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
     if fit.motion is None:
@@ -61,7 +115,7 @@ def refined(fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimat
     w = rotation_over(estimate)
     of_w = seconds**2 * estimate.covariance[3:, 3:] + _LEAST * np.eye(3)
     again = copy(fit)
-    again.flow, again.structure = begin, None
+    again.flow, again.structure = begin, structure
     again.known = KnownRotation.seen(w, of_w)
     again.config = replace(fit.config, dec_weight=LATTICE.stiffer * fit.config.dec_weight)
     ends = again.known.ends()
@@ -80,7 +134,13 @@ def refined(fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimat
                 again.step_coupled(prior)
     except np.linalg.LinAlgError:
         return None
-    return again.flow if np.isfinite(again.flow).all() else None
+    if not np.isfinite(again.flow).all():
+        return None
+    if prior is None:
+        return Refined(again.flow, None)
+    middle = (estimate.t_start + estimate.t_end) // 2
+    flow = again.node_flow.mean(axis=1)
+    return Refined(again.flow, ShownFlow(middle, seconds, fit.epipolar, flow, again.evidence))
 
 
 def rotation_over(estimate: Estimate) -> Array:

@@ -131,7 +131,7 @@ class LatticeSettings:
     third_events: int = 3_000
     refining_steps: int = 3
     stiffer: float = 10.0
-    hardly: float = 0.8
+    hardly: float = 0.6
     closer: int = 3
     depth_reaches: tuple[tuple[float, float], ...] = ((8.0, 1.0), (24.0, 0.03), (80.0, 0.003))
     slope_px: float = 14.0

@@ -1,5 +1,6 @@
 """The adjustment against SciPy's least squares, and what its covariance and priors say."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,7 +24,13 @@ from small_problem import (
 )
 
 from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
-from emoflow_ros.core.back_end.adjustment_kernels import NODE, Observations, Unknowns, rotated
+from emoflow_ros.core.back_end.adjustment_kernels import (
+    NODE,
+    Observations,
+    Unknowns,
+    observation_cost,
+    rotated,
+)
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import along, motion_at
@@ -179,6 +186,28 @@ def test_a_place_that_is_no_number_is_refused():
         adjusted(o._replace(seen=np.full_like(o.seen, np.nan)))
 
 
+def test_the_information_on_a_depth_is_the_curvature_of_the_cost():
+    found, o, squares = adjusted(problem()), problem(), np.empty(PATCHES * (NODES - 1))
+    step = 1e-4
+    for j in (0, 7, 29):
+        cost = []
+        for change in (-step, 0.0, step):
+            depths = found.x.inverse_depth.copy()
+            depths[j] += change
+            x = found.x._replace(inverse_depth=depths)
+            cost.append(observation_cost(o, x, NOT_ROBUST, squares))
+        curvature = (cost[0] - 2 * cost[1] + cost[2]) / step**2
+        assert found.of_depth[j] == pytest.approx(curvature, rel=0.02)
+    scaled = found.of_unit_depth()
+    scale = found.x.inverse_depth[0] / scaled.x.inverse_depth[0]
+    assert scaled.of_depth == pytest.approx(scale**2 * found.of_depth)
+
+
+def of_motion(x: Unknowns, free: np.ndarray) -> Adjusted:
+    """An adjustment that is sure of its motion."""
+    return Adjusted(x, 0.0, np.zeros(1), 1e9 * np.eye(len(free)), free, True, np.ones(1))
+
+
 def test_walks_are_learnt_from_restless_and_from_steady_motion():
     settings = BackEndSettings()
     rng = np.random.default_rng(0)
@@ -187,7 +216,7 @@ def test_walks_are_learnt_from_restless_and_from_steady_motion():
         t = np.arange(12) * 40_000_000
         x = along(t, np.cumsum(steps, axis=0), np.zeros((12, 3)), np.ones(1))
         free = np.arange(12 * NODE)
-        known = Adjusted(x, 0.0, np.zeros(1), np.diag(np.full(len(free), 1e9)), free, True)
+        known = of_motion(x, free)
         walks = Walks.unknown(settings)
         for _ in range(40):
             walks = walks.learnt(known, np.diff(t) * 1e-9, settings)
@@ -197,7 +226,7 @@ def test_walks_are_learnt_from_restless_and_from_steady_motion():
 def test_the_restlessness_of_a_camera_at_rest_does_not_vanish():
     settings, t = BackEndSettings(), np.arange(12) * 60_000_000
     x, free = along(t, np.zeros((12, 3)), np.zeros((12, 3)), np.ones(1)), np.arange(12 * NODE)
-    known, walks = Adjusted(x, 0.0, np.zeros(1), 1e9 * np.eye(144), free, True), None
+    known, walks = of_motion(x, free), None
     for _ in range(40):
         walks = (walks or Walks.unknown(settings)).learnt(known, np.diff(t) * 1e-9, settings)
     assert walks is not None
@@ -208,7 +237,7 @@ def test_the_restlessness_of_a_camera_at_rest_does_not_vanish():
 def test_the_mean_cost_is_one_where_all_is_right_and_more_where_places_do_not_fit():
     settings = BackEndSettings()
     good, bad = (
-        Adjusted(truth(), 0.0, np.full(10, s), np.eye(3), np.arange(3), True) for s in (0.5, 9.0)
+        replace(of_motion(truth(), np.arange(3)), squares=np.full(10, s)) for s in (0.5, 9.0)
     )
     assert good.mean_cost(settings) == pytest.approx(0.25 / 1.125 / 0.25)
     assert bad.mean_cost(settings) > 5

@@ -52,10 +52,10 @@ def depths(near: float = 1.0) -> Depths:
     x, y = np.meshgrid(np.arange(4.0, SIZE[0], 8), np.arange(4.0, SIZE[1], 8))
     points = np.stack([x.ravel(), y.ravel()], axis=1)
     rho = RHO * np.where(points[:, 0] > SIZE[0] / 2, near, 1.0)
-    return Depths(points, rho * (1e9 / WINDOW_NS))
+    return Depths(points, rho * (1e9 / WINDOW_NS), np.ones(len(points)))
 
 
-NO_DEPTHS = Depths(np.zeros((0, 2)), np.zeros(0))
+NO_DEPTHS = Depths(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
 def flow_of(points: np.ndarray, rho: np.ndarray) -> np.ndarray:
@@ -172,11 +172,41 @@ def floor_at(points: np.ndarray) -> np.ndarray:
     return RHO * (0.5 + points[:, 1] / SIZE[1])
 
 
+def between_depths(blend: Blend, points: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    return blend._between(Depths(points, rho, np.ones(len(points))))[0]
+
+
+def test_depths_of_little_weight_hardly_count():
+    blend, all_over = Blend(CAMERA, COARSE), depths()
+    rho = np.where(np.arange(len(all_over.points)) % 2, RHO, 5 * RHO)
+    weight = np.where(np.arange(len(all_over.points)) % 2, 1.0, 1e-3)
+    found, near = blend._between(Depths(all_over.points, rho, weight))
+    assert found == pytest.approx(RHO, rel=0.05)
+    every = blend._between(all_over)[1]
+    assert near.sum() == pytest.approx(0.5 * every.sum(), rel=0.02)
+
+
+def test_another_fit_takes_the_depths_that_are_near_a_node():
+    blend, known = Blend(CAMERA, COARSE), depths()
+    left = known.points[:, 0] < 80
+    known = Depths(known.points[left], known.inverse_depth[left], known.weight[left])
+    rigid = blend.rigid(events(), estimate(), known)
+    assert rigid is not None
+    structure = blend.structure(rigid, 0.3)
+    assert structure is not None
+    among, far = COARSE.pixels[:, 0] < 60, COARSE.pixels[:, 0] > 130
+    assert structure.inverse_depth == pytest.approx(RHO, rel=0.01)
+    sure = 1 / (0.3 * RHO) ** 2
+    assert structure.information[among].min() > 0.4 * sure
+    assert structure.information.max() < sure
+    assert structure.information[far].max() < 0.05 * sure
+
+
 def test_a_floor_goes_on_beyond_the_points():
     blend, known = Blend(CAMERA, COARSE), depths().points
     known = known[known[:, 1] < 90]
     nodes = blend.fine.pixels
-    between, true = blend._between(known, floor_at(known)).ravel(), floor_at(nodes)
+    between, true = between_depths(blend, known, floor_at(known)).ravel(), floor_at(nodes)
     beyond, among = nodes[:, 1] > 110, nodes[:, 1] < 80
     as_the_last = np.abs(floor_at(known).max() - true)[beyond].mean()
     assert np.abs(between - true)[beyond].mean() < 0.6 * as_the_last
@@ -189,14 +219,23 @@ def test_depths_between_points_are_within_a_factor_of_theirs(monkeypatch: pytest
     blend, rng = Blend(CAMERA, COARSE), np.random.default_rng(0)
     known = rng.uniform([20, 10], [80, 120], (300, 2))
     rho = RHO * (1 + 0.03 * (known[:, 0] - 50))
-    between = blend._between(known, rho)
+    between = between_depths(blend, known, rho)
     assert between.min() == pytest.approx(rho.min() / 1.2)
     assert between.max() == pytest.approx(rho.max() * 1.2)
 
 
+@pytest.mark.parametrize("spacing_px", [8.0, 26.0, 200.0])
+def test_depths_reach_nodes_however_far_apart_these_are(spacing_px):
+    blend, known = Blend(CAMERA, Lattice.with_spacing(*SIZE, spacing_px)), depths().points
+    between = between_depths(blend, known, floor_at(known)).ravel()
+    nodes = blend.fine.pixels
+    inside = (nodes[:, 1] > 20) & (nodes[:, 1] < 110)
+    assert between[inside] == pytest.approx(floor_at(nodes)[inside], abs=0.06 * RHO)
+
+
 def test_one_depth_is_that_of_the_whole_scene():
     blend = Blend(CAMERA, COARSE)
-    between = blend._between(np.array([[20.0, 30.0]]), np.array([RHO]))
+    between = between_depths(blend, np.array([[20.0, 30.0]]), np.array([RHO]))
     assert between == pytest.approx(RHO)
 
 

@@ -14,7 +14,7 @@ from emoflow_ros.core.types.events import Window, WindowSlicer
 from emoflow_ros.simulation.recording import SimulatedRecording, simulate
 
 CONFIG = load_config()
-NONE = Depths(np.zeros((0, 2)), np.zeros(0))
+NONE = Depths(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 SURE = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5])  # of (v, w)
 
 
@@ -67,7 +67,7 @@ def test_with_the_true_motion_the_flow_comes_nearer_to_the_truth(scene):
     for window in windows:
         found = estimator.estimate(window)
         flow = estimator._fit.flow
-        again = estimator.refined(told(recording, found), NONE)
+        again, _ = estimator.refined(told(recording, found), NONE)
         assert estimator._fit.flow is flow
         before.append(error(recording, found))
         after.append(error(recording, again))
@@ -80,8 +80,8 @@ def test_a_flow_that_cannot_be_fitted_stays_as_it_was():
     found = estimator.estimate(windows[0])
     lost = told(recording, found)
     lost = replace(lost, covariance=np.full((6, 6), np.nan))
-    assert estimator.refined(lost, NONE).flow is found.flow
-    assert estimator.refined(lost, true_depths(recording, found.t)).flow is found.flow
+    assert estimator.refined(lost, NONE)[0].flow is found.flow
+    assert estimator.refined(lost, true_depths(recording, found.t))[0].flow is found.flow
 
 
 def test_before_any_fit_no_flow_is_fitted_again():
@@ -89,7 +89,7 @@ def test_before_any_fit_no_flow_is_fitted_again():
     estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
     found = estimator.estimate(windows[0])
     fresh = LatticeEstimator(recording.camera, CONFIG.estimator)
-    assert fresh.refined(told(recording, replace(found, flow=None)), NONE).flow is None
+    assert fresh.refined(told(recording, replace(found, flow=None)), NONE)[0].flow is None
 
 
 def true_depths(recording: SimulatedRecording, t: int) -> Depths:
@@ -102,7 +102,7 @@ def true_depths(recording: SimulatedRecording, t: int) -> Depths:
     line = a @ linear
     rho = ((flow - b @ angular) * line).sum(axis=1) / (line**2).sum(axis=1)
     known = np.isfinite(rho)
-    return Depths(points[known], rho[known])
+    return Depths(points[known], rho[known], np.ones(known.sum()))
 
 
 def test_depths_that_are_known_help():
@@ -112,8 +112,8 @@ def test_depths_that_are_known_help():
     for window in windows:
         found = told(recording, estimator.estimate(window))
         depths = true_depths(recording, found.t)
-        without.append(error(recording, estimator.refined(found, NONE)))
-        with_them.append(error(recording, estimator.refined(found, depths)))
+        without.append(error(recording, estimator.refined(found, NONE)[0]))
+        with_them.append(error(recording, estimator.refined(found, depths)[0]))
     assert np.mean(with_them[2:]) < 0.9 * np.mean(without[2:])
 
 
@@ -124,10 +124,10 @@ def test_a_flow_that_is_lost_is_found_again_by_the_known_motion():
     for window in windows:
         found = told(recording, estimator.estimate(window))
         found = replace(found, model=MotionModel.ROTATION, linear=np.zeros(3))
-        right = error(recording, estimator.refined(found, NONE))
+        right = error(recording, estimator.refined(found, NONE)[0])
         estimator._fit.flow = estimator._fit.flow + np.float32(12.0)  # px, everywhere
         before.append(right)
-        after.append(error(recording, estimator.refined(found, NONE)))
+        after.append(error(recording, estimator.refined(found, NONE)[0]))
         estimator.reset()
     assert np.mean(after) == pytest.approx(np.mean(before), rel=0.05)
 
@@ -139,6 +139,42 @@ def test_where_a_window_shows_no_flow_the_rigid_scene_has_one():
         found = estimator.estimate(window)
     estimator._fit.motion = None  # as after a cold start that finds nothing
     none = told(recording, replace(found, flow=None))
-    again = estimator.refined(none, true_depths(recording, found.t))
+    again, _ = estimator.refined(none, true_depths(recording, found.t))
     assert error(recording, again) < 0.9 * error(recording, found)
-    assert estimator.refined(none, NONE).flow is None
+    assert estimator.refined(none, NONE)[0].flow is None
+
+
+def test_a_flow_shows_the_depths_of_what_stays_in_place():
+    recording, windows = windows_of("mover")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    for window in windows[:3]:
+        found = told(recording, estimator.estimate(window))
+    _, shown = estimator.refined(found, true_depths(recording, found.t))
+    assert shown is not None and shown.t == (found.t_start + found.t_end) // 2
+    motion = Known(recording)
+    depth, information, counts_by = shown.inverse_depths(
+        motion.angular(shown.t), motion.linear(shown.t)
+    )
+    nodes = estimator.lattice.pixels
+    inside = nodes.round().astype(int)
+    true = recording.truth.flow(shown.t)[inside[:, 1], inside[:, 0]]
+    linear, angular = motion.linear(shown.t), motion.angular(shown.t)
+    line = shown.epipolar.a @ linear
+    left = true - shown.epipolar.b @ angular
+    across = np.abs(left[:, 0] * line[:, 1] - left[:, 1] * line[:, 0])
+    across /= np.linalg.norm(line, axis=1)  # px/s: only a mover's flow leaves its line
+    static, moving = across < 1, across > 30
+    rho = (left * line).sum(axis=1) / (line**2).sum(axis=1)
+    counts = static & (information > np.median(information[static]))
+    assert np.median(np.abs(depth / rho - 1)[counts]) < 0.1
+    assert moving.sum() > 3
+    assert np.median(counts_by[moving]) < 0.1
+    assert np.median(counts_by[static]) > 0.9
+
+
+def test_a_rotation_shows_no_depths():
+    recording, windows = windows_of("rotation")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    found = told(recording, estimator.estimate(windows[0]))
+    found = replace(found, model=MotionModel.ROTATION, linear=np.zeros(3))
+    assert estimator.refined(found, NONE)[1] is None
