@@ -250,9 +250,9 @@ class Odometry:
             walks = state.walks.learnt(found, known.seconds, back)
         except np.linalg.LinAlgError:
             return self.start()
-        depths, of_depth = patches.inverse_depth.copy(), patches.of_depth.copy()
+        depths, of_depth = patches.inverse_depth.copy(), np.zeros(len(patches))
         depths[used] = found.x.inverse_depth
-        of_depth[used] = found.of_depth - 1 / back.depth_sd**2
+        of_depth[used] = found.of_depth
         return replace(
             state,
             x=found.x._replace(inverse_depth=np.zeros(0)),

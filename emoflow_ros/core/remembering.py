@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _LONGEST_GAP_NS = 300 * NS_PER_MS  # between slices; after a longer one the memory begins anew
+_MOST_SHOWN = 16  # windows whose flow is kept: bounds the time where they are short
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Memory:
         odometry: nodes, patches and what they tell.
         experience: of what adjustments are worth.
         end: of the last slice, ns; None before the first one.
-        shown: flows of windows within the nodes.
+        shown: flows of the newest windows.
     """
 
     odometry: State
@@ -122,9 +123,7 @@ class RememberingEstimator:
             state = self._taken(self._odometry.start(), window, end, found)
         if not (seen or self._follows(before, state)):
             return replace(memory, end=end), found
-        shown = tuple(flow for flow in memory.shown if flow.t >= state.t[0])
-        memory = Memory(state, memory.experience, window.t_end, shown)
-        motion = state.motion(found.t)
+        memory, motion = replace(memory, odometry=state, end=window.t_end), state.motion(found.t)
         if motion is None:
             return memory, self._first(found)
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
@@ -251,7 +250,7 @@ class RememberingEstimator:
         if isinstance(flow, LatticeFlow):
             flow = self._bent(flow, told)
         if shown is not None:
-            memory = replace(memory, shown=(*memory.shown, shown))
+            memory = replace(memory, shown=(*memory.shown, shown)[-_MOST_SHOWN:])
         return memory, replace(estimate, flow=flow)
 
     def _refined(

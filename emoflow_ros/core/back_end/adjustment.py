@@ -34,7 +34,7 @@ class Adjusted:
         matrix: (U, U) normal equations of the free unknowns of the nodes, depths taken out.
         free: (U,) which unknowns of the nodes these are.
         translates: False where the camera was held at one place.
-        of_depth: (J,) information on each patch's inverse depth along this way.
+        of_depth: (J,) information on each patch's inverse depth by its places, along this way.
     """
 
     x: Unknowns
@@ -106,6 +106,7 @@ def adjust(
     if not np.isfinite(cost):
         raise np.linalg.LinAlgError("the cost is not finite")
     squares, matrix, of_depth = linearised(observations, x, prior, outlier, free)
+    of_depth -= 1 / observations.depth_sd**2
     return Adjusted(x, cost, squares, matrix, free, translates, of_depth)
 
 

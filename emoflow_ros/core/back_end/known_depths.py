@@ -4,7 +4,7 @@ A window's flow shows a depth at each node of its lattice, once the motion at th
 The scene stays, so what earlier windows have shown is carried on along the way of the camera.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from emoflow_ros.core.types.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-_MARGIN = 0.075  # of the image's longer side, beyond which a depth tells nothing of its border
+_BEYOND = 0.15  # of half the image: depths that far outside still tell of its border
 
 
 def known_depths(
@@ -33,7 +33,7 @@ def known_depths(
     Args:
         patches: followed up to the newest node.
         x: motion that their depths belong to.
-        shown: by earlier windows, within the nodes.
+        shown: by earlier windows; those beyond the nodes do not count.
         way: of the camera over the nodes.
         estimate: of the window.
         image: that the patches are followed in.
@@ -44,7 +44,8 @@ def known_depths(
     """
     parts = [_of_patches(patches, x, int(way.times[-1]), estimate, image, settings)]
     if way.translates:
-        parts.append(carried_on(shown, way, estimate.t, image.sensor, settings))
+        within = [flow for flow in shown if way.times[0] <= flow.t <= way.times[-1]]
+        parts.append(carried_on(within, way, estimate.t, image.sensor, settings))
     columns = zip(*((d.points, d.inverse_depth, d.weight) for d in parts), strict=True)
     return Depths(*(np.concatenate(column) for column in columns))
 
@@ -62,13 +63,14 @@ def _of_patches(
     points = patches.place[known] * image.sensor_px
     if estimate.flow is not None:
         points = estimate.flow.tracks(points, [newest, estimate.t])[1]
-    # On the way the error of a depth grows as the depth does.
-    information = patches.of_depth[known] * (patches.inverse_depth[known] / depth) ** 2
-    return Depths(points, depth, _weight(information, settings.patch_depth_sd))
+    weight = _weight(
+        patches.of_depth[known], patches.inverse_depth[known], depth, settings.patch_depth_sd
+    )
+    return Depths(points, depth, weight)
 
 
 def carried_on(
-    shown: Iterable[ShownFlow], way: AdjustedMotion, t: int, camera: Camera,
+    shown: Sequence[ShownFlow], way: AdjustedMotion, t: int, camera: Camera,
     settings: BackEndSettings,
 ) -> Depths:  # fmt: skip
     """Inverse depths, over the mean one, that earlier windows have shown, at a later time (ns).
@@ -80,32 +82,54 @@ def carried_on(
         camera: of the sensor.
         settings: of the back end.
     """
-    parts = [(np.zeros((0, 3)), np.zeros(0)), *(_points(flow, way, settings) for flow in shown)]
-    points, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if not shown:
+        return Depths(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    parts = [_points(flow, way, settings) for flow in shown]
+    points, rho, information, static = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
     rotation, position = pose(way.times, way.x, t)
     seen = (points - position) @ rotation
-    ahead = seen[:, 2] > 1 / settings.depths[1]
-    place, depth = camera.project(seen[ahead]), 1 / seen[ahead, 2]
-    margin, last = _MARGIN * max(camera.size), np.array(camera.size) - 1
-    near = ((place > -margin) & (place < last + margin)).all(axis=1)
-    return Depths(place[near], depth[near], weight[ahead][near])
+    # Far outside a lens may fold: it would put points back into the image.
+    reach = (1 + _BEYOND) * max(np.linalg.norm(f.epipolar.bearings, axis=1).max() for f in shown)
+    off_axis, depth = np.linalg.norm(seen[:, :2], axis=1), seen[:, 2]
+    ahead = (depth > 1 / settings.depths[1]) & (off_axis < reach * depth)
+    place, last = camera.project(seen[ahead]), np.array(camera.size) - 1
+    beyond = 0.5 * _BEYOND * max(camera.size)
+    near = ((place > -beyond) & (place < last + beyond)).all(axis=1)
+    chosen = np.flatnonzero(ahead)[near]
+    now = 1 / depth[chosen]
+    weight = _weight(information[chosen], rho[chosen], now, settings.node_depth_sd)
+    return Depths(place[near], now, static[chosen] * weight)
 
 
 def _points(
     shown: ShownFlow, way: AdjustedMotion, settings: BackEndSettings
-) -> tuple[Array, Array]:
-    """Points (N, 3) of the way's common frame that a window has shown, and their weights (N,)."""
+) -> tuple[Array, Array, Array, Array]:
+    """Points (N, 3) of the way's common frame that a window has shown.
+
+    Besides, (N,) each, their inverse depths, the information on them, and how far they count.
+    """
     angular, linear, _ = interpolated(way.times, way.x, shown.t)
     rho, information, static = shown.inverse_depths(angular, linear)
     far, near = settings.depths
     known = (rho > far) & (rho < near)
     rotation, position = pose(way.times, way.x, shown.t)
     rays = shown.epipolar.bearings[known] @ rotation[:, :2].T + rotation[:, 2]
-    weight = static * _weight(information, settings.node_depth_sd)
-    return rays / rho[known, None] + position, weight[known]
+    points = rays / rho[known, None] + position
+    return points, rho[known], information[known], static[known]
 
 
-def _weight(information: Array, sd: float) -> Array:
-    """How much depths count: half where they are known to a standard deviation."""
-    certain = np.maximum(information, 0.0) * sd**2
+def _weight(information: Array, then: Array, now: Array, sd: float) -> Array:
+    """How much inverse depths count: half where they are known to a standard deviation.
+
+    A depth changes by a length that is the same for all errors of it, its inverse r by
+    dr' = (r'/r)^2 dr.
+
+    Args:
+        information: on them then.
+        then, now: inverse depths.
+        sd: that standard deviation.
+    """
+    certain = np.maximum(information, 0.0) * (then / now) ** 4 * sd**2
     return certain / (1 + certain)

@@ -31,7 +31,8 @@ class Patches:
         found: (N, K) whether it was seen.
         inverse_depth: (N,) at the first of the slices that shows it, over the median one; NaN
             where nothing is known.
-        of_depth: (N,) information on it by the places, along the way as it was adjusted.
+        of_depth: (N,) information on it by the places, along the way as it was adjusted; 0 where
+            fewer than two show it.
     """
 
     born: Index

@@ -1,7 +1,7 @@
 """Two flows of a window as one: where which of them is sharper tells which is nearer.
 
-The lattice's flow is smooth between nodes that are far apart, and may be lost; depths of patches
-know nothing of what lies between them, or moves by itself. Their errors differ from place to place.
+The lattice's flow is smooth between nodes that are far apart, and may be lost; known depths tell
+nothing of what lies between them, or moves by itself. Their errors differ from place to place.
 """
 
 from dataclasses import replace
@@ -36,15 +36,13 @@ class Rigid(NamedTuple):
     Attributes:
         flow: (columns, rows, 2, 2) px per window.
         contrast: (columns, rows) around each node, of events warped along it.
-        inverse_depth: (columns, rows) travelled distances per window; None where the camera only
-            rotates.
-        near: (columns, rows) how many depths are known near each node.
+        structure: its depths at the lattice's nodes, in travelled distances per window; None where
+            the camera only rotates.
     """
 
     flow: Array
     contrast: Array
-    inverse_depth: Array | None = None
-    near: Array | None = None
+    structure: Structure | None = None
 
 
 class Blend:
@@ -54,14 +52,15 @@ class Blend:
         camera: of the working image.
         lattice: of the flow; the nodes of `fine` are three times as close, every third one of the
             lattice's.
+        depth_error: standard deviation of a depth that is known nearby, over it.
 
     Attributes:
         fine: the lattice of what is blended.
     """
 
-    def __init__(self, camera: Camera, lattice: Lattice) -> None:
+    def __init__(self, camera: Camera, lattice: Lattice, depth_error: float) -> None:
         closer = LATTICE.closer
-        self._lattice = lattice
+        self._lattice, self._error = lattice, depth_error
         self.fine = replace(
             lattice,
             columns=closer * (lattice.columns - 1) + 1,
@@ -103,30 +102,23 @@ class Blend:
             None where the camera travels and no depth is known.
         """
         flow = np.einsum("nij,tj->nti", self._b, rotation_at_ends(estimate))
-        rho = near = None
+        structure = None
         if estimate.translation_observable:
             if not depths.weight.any():
                 return None
             seconds = (estimate.t_end - estimate.t_start) / NS_PER_S
             rho, near = self._between(replace(depths, inverse_depth=seconds * depths.inverse_depth))
-            flow = flow + (rho.reshape(-1, 1) * (self._a @ estimate.linear))[:, None]
+            line = self._a @ estimate.linear
+            flow = flow + (rho.reshape(-1, 1) * line)[:, None]
+            structure = self._structure(rho, near, (line**2).sum(axis=1).reshape(rho.shape))
         flow = flow.reshape(self.fine.shape)
-        return Rigid(flow, self._around(events, flow), rho, near)
+        return Rigid(flow, self._around(events, flow), structure)
 
-    def structure(self, rigid: Rigid, error: float) -> Structure | None:
-        """Depths at the lattice's nodes, as another fit takes them.
-
-        Args:
-            rigid: the scene.
-            error: standard deviation of a depth that is known nearby, over it.
-        """
-        if rigid.inverse_depth is None or rigid.near is None:
-            return None
-        rho, near = (
-            f[:: LATTICE.closer, :: LATTICE.closer] for f in (rigid.inverse_depth, rigid.near)
-        )
-        information = near / (1 + near) / (error * rho) ** 2
-        return Structure(rho.ravel(), information.ravel())
+    def _structure(self, rho: Array, near: Array, squared: Array) -> Structure:
+        """What the fit may rely on, by inverse depths, how many are known nearby, and |a v|^2."""
+        rho, near, squared = (f[:: LATTICE.closer, :: LATTICE.closer] for f in (rho, near, squared))
+        variance = (self._error * rho) ** 2 + LATTICE.flow_error_px**2 / np.maximum(squared, _LEAST)
+        return Structure(rho.ravel(), (near / (1 + near) / variance).ravel())
 
     def start(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """What another fit begins with: the rigid scene where the lattice is hardly sharper.
@@ -139,7 +131,7 @@ class Blend:
         return np.ascontiguousarray(begin[::closer, ::closer], np.float32)
 
     def _between(self, depths: Depths) -> tuple[Array, Array]:
-        """Inverse depths by local linear regression, in which near points count, and their number.
+        """Inverse depths by local linear regression, in which near points count, and how many do.
 
         So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of
         a lens without distortion (Cleveland and Devlin, JASA 1988). Both are (columns, rows).
@@ -162,7 +154,7 @@ class Blend:
         to_x, to_y = (self._columns - middle[0])[:, None] - x, self._rows - middle[1] - y
         slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
         found = mean + slope / (xx * yy - xy * xy)
-        counts = rho[depths.weight > 0]
+        counts = rho[depths.weight > 0.1 * depths.weight.max()]
         found = np.clip(found, counts.min() / LATTICE.beyond, counts.max() * LATTICE.beyond)
         return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * number
 

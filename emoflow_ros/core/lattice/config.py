@@ -83,7 +83,7 @@ class LatticeConfig:
     )
     depth_drift: float = option(
         0.3,
-        "relative change of the scene's inverse depths between windows that is expected",
+        "relative error that is expected of inverse depths which earlier windows have shown",
         minimum=1e-3,
         maximum=1e3,
     )

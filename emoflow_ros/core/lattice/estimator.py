@@ -54,7 +54,7 @@ class LatticeEstimator:
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
         self._fit = LatticeFit(self.lattice, self._epipolar, config)
-        self._blend = Blend(self._image.camera, self.lattice)
+        self._blend = Blend(self._image.camera, self.lattice, config.depth_drift)
         self._change = MotionChange(self._fit.contrasts[0.25])
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
         self._gyro = Gyro(imu or GyroConfig())
@@ -93,8 +93,7 @@ class LatticeEstimator:
             begin, structure = self._fit.flow, None
             rigid = blend.rigid(events, estimate, depths)
             if rigid is not None:
-                begin = blend.start(events, begin, rigid)
-                structure = blend.structure(rigid, self.config.depth_drift)
+                begin, structure = blend.start(events, begin, rigid), rigid.structure
             found = refined(self._fit, begin, events, estimate, structure)
             if rigid is not None and found is not None:
                 lattice, flow = blend.fine, blend(events, found.flow, rigid)

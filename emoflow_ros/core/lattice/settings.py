@@ -75,10 +75,9 @@ class LatticeSettings:
         hardly: contrast of a rigid scene's flow over the lattice's, from which that is hardly
             sharper.
         closer: number of nodes of a blended flow for each one of the lattice, along an axis.
-        depth_reaches: standard deviations of the distance to patches, px, and how much they count:
-            the wide ones where no patch is near.
-        slope_px: standard deviation of near patches' places from which the slope of their depths
-            counts, px.
+        depth_reaches: standard deviations of the distance to known depths, px, and how much they
+            count: the wide ones where none is near.
+        slope_px: standard deviation of the places of near depths from which their slope counts, px.
         beyond: factor by which inverse depths between points may lie beyond the known ones.
         blend_px: standard deviation of the distance within which contrasts of two flows are
             compared, px.

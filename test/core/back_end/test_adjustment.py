@@ -197,7 +197,8 @@ def test_the_information_on_a_depth_is_the_curvature_of_the_cost():
             x = found.x._replace(inverse_depth=depths)
             cost.append(observation_cost(o, x, NOT_ROBUST, squares))
         curvature = (cost[0] - 2 * cost[1] + cost[2]) / step**2
-        assert found.of_depth[j] == pytest.approx(curvature, rel=0.02)
+        by_places = curvature - 1 / o.depth_sd[j] ** 2
+        assert found.of_depth[j] == pytest.approx(by_places, rel=0.02)
     scaled = found.of_unit_depth()
     scale = found.x.inverse_depth[0] / scaled.x.inverse_depth[0]
     assert scaled.of_depth == pytest.approx(scale**2 * found.of_depth)

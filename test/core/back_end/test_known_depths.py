@@ -11,7 +11,7 @@ from emoflow_ros.core.back_end.trajectory import AdjustedMotion, along
 from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.egomotion import NodeEpipolar
-from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.field import Lattice, LatticeFlow
 from emoflow_ros.core.lattice.known import INFORMATION_EXCESS
 from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import ShownFlow
@@ -53,7 +53,7 @@ def test_later_they_are_where_the_camera_sees_these_points():
     for _ in range(steps):  # in the camera's frame: X' = -w x X - v
         points = points - seconds / steps * (np.cross(W, points) + V)
     places = CAMERA.project(points)
-    margin = 0.075 * CAMERA.width
+    margin = 0.075 * max(CAMERA.size)
     inside = ((places > -margin) & (places < np.array(CAMERA.size) - 1 + margin)).all(axis=1)
     assert 25 < inside.sum() < NODES
     assert len(found.points) == inside.sum()
@@ -95,7 +95,7 @@ def test_flow_against_the_translation_shows_no_depth():
 
 
 def patches(information: float) -> Patches:
-    """Two patches that the newest node shows, the second of them long ago."""
+    """Two patches; the newest node shows only the first."""
     count, slices = 2, len(T)
     found = np.ones((count, slices), np.bool_)
     found[1, -1] = False
@@ -125,6 +125,57 @@ def test_patches_count_by_how_well_their_places_show_the_depth(of_sd, weight):
     assert known.points == pytest.approx(np.array([[50.0, 60.0]]))  # that the newest node shows
     assert known.inverse_depth == pytest.approx([1.5])
     assert known.weight == pytest.approx([weight], abs=0.005)
+
+
+def test_a_patch_comes_nearer_and_its_depth_more_uncertain():
+    toward = way(np.zeros(3), np.array([0.0, 0.0, 2.0]))
+    image, information = WorkingImage.of(CAMERA), 1 / SETTINGS.patch_depth_sd**2
+    known = known_depths(patches(information), toward.x, (), toward, estimate(), image, SETTINGS)
+    now = 1 / (1 / 1.5 - 2.0 * 0.2)
+    assert known.inverse_depth == pytest.approx([now])
+    certain = (1.5 / now) ** 4
+    assert known.weight == pytest.approx([certain / (1 + certain)])
+
+
+def test_of_a_large_sensor_points_are_in_its_own_pixels():
+    camera = Camera(1280, 720, 900.0, 900.0, 640.0, 360.0)
+    image = WorkingImage.of(camera)
+    lattice = Lattice.with_spacing(*image.camera.size, 26.0)
+    epipolar = NodeEpipolar(image.camera, lattice, 0.7)
+    nodes, rho = len(lattice.pixels), 0.8
+    flow = SECONDS * (epipolar.b @ W + rho * (epipolar.a @ V))
+    evidence = np.tile(1e6 * np.eye(2), (nodes, 1, 1))
+    window = ShownFlow(SHOWN_AT, SECONDS, epipolar, flow, evidence)
+    found = carried_on([window], way(), SHOWN_AT, camera, SETTINGS)
+    assert found.points == pytest.approx(lattice.pixels * image.sensor_px, abs=0.5)
+    assert found.inverse_depth == pytest.approx(np.full(nodes, rho), rel=1e-3)
+    moves = Lattice(1280, 720, 3, 3)
+    to_the_right = np.zeros(moves.shape, np.float32)
+    to_the_right[..., 0] = 50.0  # px in 0.1 s
+    shows = replace(estimate(), flow=LatticeFlow(moves, to_the_right, 100_000_000, 200_000_000))
+    still = way(np.zeros(3), np.zeros(3))
+    known = known_depths(patches(1e9), still.x, (), still, shows, image, SETTINGS)
+    back = 50.0 * (T[-1] - NOW) / 1e8
+    expected = np.array([50.0, 60.0]) * image.sensor_px - [back, 0.0]
+    assert known.points[0] == pytest.approx(expected, abs=0.1)
+
+
+def test_a_lens_that_folds_brings_nothing_back_into_the_image():
+    folding = replace(CAMERA, model="plumb_bob", distortion=(-0.2, 0.0, 0.0, 0.0))
+    turning = np.array([0.0, -13.0, 0.0])  # rad/s: 82 degrees until NOW
+    epipolar = NodeEpipolar(folding, LATTICE, 0.7)
+    flow = SECONDS * (epipolar.b @ turning + RHO[:, None] * (epipolar.a @ V))
+    evidence = np.tile(1e6 * np.eye(2), (NODES, 1, 1))
+    window = ShownFlow(SHOWN_AT, SECONDS, epipolar, flow, evidence)
+    found = carried_on([window], way(turning), NOW, folding, SETTINGS)
+    assert len(found.points) == 0
+
+
+def test_windows_beyond_the_nodes_do_not_count():
+    image, old = WorkingImage.of(CAMERA), shown()._replace(t=-1)
+    later = shown()._replace(t=int(T[-1]) + 1)
+    arguments = patches(1e6), way().x, (old, later)
+    assert len(known_depths(*arguments, way(), estimate(), image, SETTINGS).points) == 1
 
 
 def test_earlier_windows_count_beside_patches_where_the_camera_translates():

@@ -106,13 +106,13 @@ def share_of_depths(blend: Blend, flow: np.ndarray, blended: np.ndarray) -> np.n
 
 
 def test_every_third_node_is_one_of_the_lattice():
-    blend = Blend(CAMERA, COARSE)
+    blend = Blend(CAMERA, COARSE, 0.3)
     pixels = blend.fine.pixels.reshape(blend.fine.columns, blend.fine.rows, 2)
     assert pixels[::3, ::3].reshape(-1, 2) == pytest.approx(COARSE.pixels)
 
 
 def test_a_rigid_flow_is_that_of_the_depths():
-    blend = Blend(CAMERA, COARSE)
+    blend = Blend(CAMERA, COARSE, 0.3)
     rigid = rigid_scene(blend, 2.0).flow
     nodes = blend.fine.pixels
     true = flow_of(nodes, RHO * np.where(nodes[:, 0] > SIZE[0] / 2, 2.0, 1.0))
@@ -123,7 +123,7 @@ def test_a_rigid_flow_is_that_of_the_depths():
 
 
 def test_a_rotation_that_grows_is_in_the_rigid_flow():
-    blend = Blend(CAMERA, COARSE)
+    blend = Blend(CAMERA, COARSE, 0.3)
     rotating = replace(estimate(Growing()), model=MotionModel.ROTATION, linear=np.zeros(3))
     rigid = blend.rigid(events(), rotating, NO_DEPTHS)
     assert rigid is not None
@@ -134,11 +134,11 @@ def test_a_rotation_that_grows_is_in_the_rigid_flow():
 
 
 def test_a_camera_that_travels_shows_no_rigid_flow_without_depths():
-    assert Blend(CAMERA, COARSE).rigid(events(), estimate(), NO_DEPTHS) is None
+    assert Blend(CAMERA, COARSE, 0.3).rigid(events(), estimate(), NO_DEPTHS) is None
 
 
 def test_two_flows_that_agree_stay_as_they_are():
-    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    blend, flow = Blend(CAMERA, COARSE, 0.3), lattice_flow().astype(np.float32)
     blended = blend(events(), flow, rigid_scene(blend))
     own = COARSE.interpolate(flow[:, :, 0].reshape(-1, 2).astype(float), blend.fine.pixels)
     for time in range(2):
@@ -146,7 +146,7 @@ def test_two_flows_that_agree_stay_as_they_are():
 
 
 def test_where_the_depths_are_sharper_they_are_believed():
-    blend = Blend(CAMERA, COARSE)
+    blend = Blend(CAMERA, COARSE, 0.3)
     flow = lattice_flow().astype(np.float32)  # the whole scene at one depth
     blended = blend(events(2.0), flow, rigid_scene(blend, 2.0)).mean(axis=2).reshape(-1, 2)
     true = flow_of(blend.fine.pixels, np.full(len(blended), 2 * RHO))
@@ -158,7 +158,7 @@ def test_where_the_depths_are_sharper_they_are_believed():
 
 
 def test_where_the_lattice_is_sharper_depths_are_not_believed():
-    blend, flow = Blend(CAMERA, COARSE), lattice_flow(2.0).astype(np.float32)
+    blend, flow = Blend(CAMERA, COARSE, 0.3), lattice_flow(2.0).astype(np.float32)
     blended = (
         blend(events(2.0), flow, rigid_scene(blend, 1.0, events(2.0))).mean(axis=2).reshape(-1, 2)
     )
@@ -177,7 +177,7 @@ def between_depths(blend: Blend, points: np.ndarray, rho: np.ndarray) -> np.ndar
 
 
 def test_depths_of_little_weight_hardly_count():
-    blend, all_over = Blend(CAMERA, COARSE), depths()
+    blend, all_over = Blend(CAMERA, COARSE, 0.3), depths()
     rho = np.where(np.arange(len(all_over.points)) % 2, RHO, 5 * RHO)
     weight = np.where(np.arange(len(all_over.points)) % 2, 1.0, 1e-3)
     found, near = blend._between(Depths(all_over.points, rho, weight))
@@ -187,12 +187,12 @@ def test_depths_of_little_weight_hardly_count():
 
 
 def test_another_fit_takes_the_depths_that_are_near_a_node():
-    blend, known = Blend(CAMERA, COARSE), depths()
+    blend, known = Blend(CAMERA, COARSE, 0.3), depths()
     left = known.points[:, 0] < 80
     known = Depths(known.points[left], known.inverse_depth[left], known.weight[left])
     rigid = blend.rigid(events(), estimate(), known)
     assert rigid is not None
-    structure = blend.structure(rigid, 0.3)
+    structure = rigid.structure
     assert structure is not None
     among, far = COARSE.pixels[:, 0] < 60, COARSE.pixels[:, 0] > 130
     assert structure.inverse_depth == pytest.approx(RHO, rel=0.01)
@@ -200,10 +200,15 @@ def test_another_fit_takes_the_depths_that_are_near_a_node():
     assert structure.information[among].min() > 0.4 * sure
     assert structure.information.max() < sure
     assert structure.information[far].max() < 0.05 * sure
+    far_away = replace(known, inverse_depth=1e-3 * known.inverse_depth)
+    rigid = blend.rigid(events(), estimate(), far_away)
+    assert rigid is not None and rigid.structure is not None
+    of_flow = LATTICE.flow_error_px**2 / CAMERA.fx**2  # along the image plane
+    assert rigid.structure.information.max() < 1.01 / of_flow
 
 
 def test_a_floor_goes_on_beyond_the_points():
-    blend, known = Blend(CAMERA, COARSE), depths().points
+    blend, known = Blend(CAMERA, COARSE, 0.3), depths().points
     known = known[known[:, 1] < 90]
     nodes = blend.fine.pixels
     between, true = between_depths(blend, known, floor_at(known)).ravel(), floor_at(nodes)
@@ -216,7 +221,7 @@ def test_a_floor_goes_on_beyond_the_points():
 def test_depths_between_points_are_within_a_factor_of_theirs(monkeypatch: pytest.MonkeyPatch):
     settings = replace(LATTICE, beyond=1.2)
     monkeypatch.setattr("emoflow_ros.core.lattice.blending.LATTICE", settings)
-    blend, rng = Blend(CAMERA, COARSE), np.random.default_rng(0)
+    blend, rng = Blend(CAMERA, COARSE, 0.3), np.random.default_rng(0)
     known = rng.uniform([20, 10], [80, 120], (300, 2))
     rho = RHO * (1 + 0.03 * (known[:, 0] - 50))
     between = between_depths(blend, known, rho)
@@ -226,7 +231,7 @@ def test_depths_between_points_are_within_a_factor_of_theirs(monkeypatch: pytest
 
 @pytest.mark.parametrize("spacing_px", [8.0, 26.0, 200.0])
 def test_depths_reach_nodes_however_far_apart_these_are(spacing_px):
-    blend, known = Blend(CAMERA, Lattice.with_spacing(*SIZE, spacing_px)), depths().points
+    blend, known = Blend(CAMERA, Lattice.with_spacing(*SIZE, spacing_px), 0.3), depths().points
     between = between_depths(blend, known, floor_at(known)).ravel()
     nodes = blend.fine.pixels
     inside = (nodes[:, 1] > 20) & (nodes[:, 1] < 110)
@@ -234,13 +239,13 @@ def test_depths_reach_nodes_however_far_apart_these_are(spacing_px):
 
 
 def test_one_depth_is_that_of_the_whole_scene():
-    blend = Blend(CAMERA, COARSE)
+    blend = Blend(CAMERA, COARSE, 0.3)
     between = between_depths(blend, np.array([[20.0, 30.0]]), np.array([RHO]))
     assert between == pytest.approx(RHO)
 
 
 def test_without_events_both_count_the_same():
-    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    blend, flow = Blend(CAMERA, COARSE, 0.3), lattice_flow().astype(np.float32)
     nothing = WindowEvents(*np.zeros((4, 1), np.float32))
     rigid = rigid_scene(blend, 2.0, nothing)
     share = share_of_depths(blend, flow, blend(nothing, flow, rigid))
@@ -248,7 +253,7 @@ def test_without_events_both_count_the_same():
 
 
 def test_where_events_are_equally_sharp_both_count_the_same():
-    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    blend, flow = Blend(CAMERA, COARSE, 0.3), lattice_flow().astype(np.float32)
     edges = events()
     at_once = replace(edges, s=np.full_like(edges.s, 0.5))  # no flow moves them
     blended = blend(at_once, flow, rigid_scene(blend, 2.0, at_once))
@@ -257,7 +262,7 @@ def test_where_events_are_equally_sharp_both_count_the_same():
 
 def starts_with_the_scene(near: float, seen: float) -> np.ndarray:
     """Which of the lattice's right nodes begin with a scene that is so many times as near."""
-    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    blend, flow = Blend(CAMERA, COARSE, 0.3), lattice_flow().astype(np.float32)
     rigid = rigid_scene(blend, near, events(seen))
     begin = blend.start(events(seen), flow, rigid)
     assert begin.shape == COARSE.shape and begin.dtype == np.float32
@@ -274,7 +279,7 @@ def test_another_fit_begins_with_the_rigid_scene_where_it_is_sharper():
 
 
 def test_another_fit_begins_with_the_rigid_scene_where_both_are_as_sharp():
-    blend, flow = Blend(CAMERA, COARSE), lattice_flow().astype(np.float32)
+    blend, flow = Blend(CAMERA, COARSE, 0.3), lattice_flow().astype(np.float32)
     edges = events()
     at_once = replace(edges, s=np.full_like(edges.s, 0.5))  # no flow moves them
     rigid = rigid_scene(blend, 2.0, at_once)
@@ -287,7 +292,7 @@ def test_another_fit_begins_with_the_lattice_where_that_is_clearly_sharper():
 
 @pytest.mark.parametrize("place", [(40.0, 90.0), (150.0, 20.0), (70.0, 60.0)])
 def test_contrast_is_that_around_a_node(place):
-    blend = Blend(CAMERA, COARSE)
+    blend = Blend(CAMERA, COARSE, 0.3)
     x, y = (np.array([value], np.float32) for value in place)
     event = WindowEvents(x, y, np.full(1, 0.5, np.float32), np.full(1, 1e3, np.float32))
     around = blend._around(event, np.zeros(blend.fine.shape)).ravel()
@@ -301,7 +306,7 @@ def test_contrast_is_that_around_a_node(place):
 
 def test_where_the_lens_has_no_inverse_the_lattice_counts():
     camera = replace(CAMERA, model="plumb_bob", distortion=(-0.9, 0.0, 0.0, 0.0))
-    blend, flow = Blend(camera, COARSE), lattice_flow().astype(np.float32)
+    blend, flow = Blend(camera, COARSE, 0.3), lattice_flow().astype(np.float32)
     unusable = ~np.isfinite(camera.undistort(blend.fine.pixels)[0]).all(axis=-1)
     rigid = rigid_scene(blend, 2.0)
     blended = blend(events(2.0), flow, rigid).mean(axis=2).reshape(-1, 2)
