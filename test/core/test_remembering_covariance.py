@@ -219,9 +219,9 @@ def test_the_flow_goes_by_the_way_that_the_depths_belong_to(
     camera, off = calm.recording.camera, np.radians([2.0, 0.0, 0.0])
     lattice, seen = LatticeEstimator(camera, LatticeConfig()), []
 
-    def refine(likeliest: Estimate, _: object) -> Estimate:
+    def refine(likeliest: Estimate, _: object) -> tuple[Estimate, None]:
         seen.append(likeliest)
-        return likeliest
+        return likeliest, None
 
     def with_a_rival(self: Hypotheses) -> Unknowns:
         """Tell another mean: that of a rival which turns and goes otherwise."""
