@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.special import expit
 
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.geometry.camera_motion import motion_field
+from emoflow_ros.core.lattice.between_depths import BetweenDepths, nearness
 from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.kernels import MARGIN
@@ -66,6 +66,7 @@ class Blend:
             columns=closer * (lattice.columns - 1) + 1,
             rows=closer * (lattice.rows - 1) + 1,
         )
+        self._between = BetweenDepths(self.fine)
         self._contrast = Contrast(self.fine, 1.0)
         self._a, self._b = motion_field(camera, self.fine.pixels)
         usable = np.isfinite(camera.undistort(self.fine.pixels)[0]).all(axis=-1)
@@ -73,22 +74,9 @@ class Blend:
         height, width = self._contrast.image.shape
         zoom, reach = LATTICE.sampling, LATTICE.blend_px
         self._by_column, self._by_row = (
-            _near((np.arange(side) - MARGIN + 0.5 - 0.5 * zoom) / zoom, nodes, reach)
-            for side, nodes in ((width, self._columns), (height, self._rows))
+            nearness((np.arange(side) - MARGIN + 0.5 - 0.5 * zoom) / zoom, nodes, reach)
+            for side, nodes in zip((width, height), self._between.axes, strict=True)
         )
-
-        self._spreads = [
-            (weight, *(_spread(nodes, reach) for nodes in (self._columns, self._rows)))
-            for reach, weight in LATTICE.depth_reaches
-        ]
-
-    @property
-    def _columns(self) -> Array:
-        return np.linspace(0, self.fine.width - 1, self.fine.columns)
-
-    @property
-    def _rows(self) -> Array:
-        return np.linspace(0, self.fine.height - 1, self.fine.rows)
 
     def rigid(self, events: WindowEvents, estimate: Estimate, depths: Depths) -> Rigid | None:
         """Tell how the scene moves if nothing in it moves by itself.
@@ -117,8 +105,10 @@ class Blend:
     def _structure(self, rho: Array, near: Array, squared: Array) -> Structure:
         """What the fit may rely on, by inverse depths, how many are known nearby, and |a v|^2."""
         rho, near, squared = (f[:: LATTICE.closer, :: LATTICE.closer] for f in (rho, near, squared))
-        variance = (self._error * rho) ** 2 + LATTICE.flow_error_px**2 / np.maximum(squared, _LEAST)
-        return Structure(rho.ravel(), (near / (1 + near) / variance).ravel())
+        variance = (
+            self._error * rho
+        ) ** 2 * squared + LATTICE.flow_error_px**2  # of the flow, px^2
+        return Structure(rho.ravel(), (near / (1 + near) * squared / variance).ravel())
 
     def start(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """What another fit begins with: the rigid scene where the lattice is hardly sharper.
@@ -129,34 +119,6 @@ class Blend:
         hardly = rigid.contrast > LATTICE.hardly * self._around(events, own)
         begin = np.where((self._usable & hardly)[:, :, None, None], rigid.flow, own)
         return np.ascontiguousarray(begin[::closer, ::closer], np.float32)
-
-    def _between(self, depths: Depths) -> tuple[Array, Array]:
-        """Inverse depths by local linear regression, in which near points count, and how many do.
-
-        So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of
-        a lens without distortion (Cleveland and Devlin, JASA 1988). Both are (columns, rows).
-        """
-        points, rho = depths.points, depths.inverse_depth
-        middle = points.mean(axis=0)
-        x, y = (points - middle).T
-        known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
-        known *= depths.weight
-        at_nodes = (_shares(points, self.fine) @ known.T).T
-        at_nodes = at_nodes.reshape(-1, self.fine.columns, self.fine.rows)
-        sums = sum(
-            weight * (by_column @ at_nodes @ by_row) for weight, by_column, by_row in self._spreads
-        )
-        number, tiny = sums[0], np.finfo(float).tiny
-        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(number, tiny)
-        own = LATTICE.slope_px**2
-        xx, xy, yy = xx - x * x + own, xy - x * y, yy - y * y + own
-        rx, ry = rx - mean * x, ry - mean * y
-        to_x, to_y = (self._columns - middle[0])[:, None] - x, self._rows - middle[1] - y
-        slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
-        found = mean + slope / (xx * yy - xy * xy)
-        counts = rho[depths.weight > 0.1 * depths.weight.max()]
-        found = np.clip(found, counts.min() / LATTICE.beyond, counts.max() * LATTICE.beyond)
-        return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * number
 
     def __call__(self, events: WindowEvents, flow: F32, rigid: Rigid) -> F32:
         """Blend by the contrast around each node, (columns, rows, 2, 2) px per window of `fine`.
@@ -181,34 +143,3 @@ class Blend:
         self._contrast.sharpen(events, flow.astype(np.float32))
         squares = self._contrast.image.astype(np.float64) ** 2
         return np.asarray(self._by_column @ squares.T @ self._by_row.T + _LEAST)
-
-
-def _shares(points: Array, lattice: Lattice) -> csr_array:
-    """Matrix (nodes, N) that hands points (N, 2) px on to the four nodes around each."""
-    most = np.array([lattice.columns, lattice.rows]) - 1
-    place = np.clip(points * lattice.per_px, 0, most)
-    first = np.minimum(place.astype(int), most - 1)
-    node, share = [], []
-    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        near = 1 - np.abs(place - first - corner)
-        column, row = (first + corner).T
-        node.append(column * lattice.rows + row)
-        share.append(near[:, 0] * near[:, 1])
-    which = np.tile(np.arange(len(points)), 4)
-    shape = (lattice.columns * lattice.rows, len(points))
-    return csr_array((np.concatenate(share), (np.concatenate(node), which)), shape=shape)
-
-
-def _spread(nodes: Array, reach: float) -> Array:
-    """Gaussian weights (nodes, nodes) for what was handed on to the nodes around a point.
-
-    Handing on is a spread itself, of a sixth of the squared distance of the nodes.
-    """
-    apart = nodes[1] - nodes[0]
-    return _near(nodes, nodes, float(np.sqrt(max(reach**2 - apart**2 / 6, apart**2 / 4))))
-
-
-def _near(places: Array, nodes: Array, reach: float) -> Array:
-    """Gaussian weights (nodes, places) of the distance between nodes and places along an axis."""
-    weights = np.exp(-0.5 * ((nodes[:, None] - places) / reach) ** 2)
-    return np.asarray(weights / (np.sqrt(2 * np.pi) * reach))

@@ -95,7 +95,7 @@ class Refined(NamedTuple):
 
 def refined(
     fit: LatticeFit, begin: F32, events: WindowEvents, estimate: Estimate,
-    structure: Structure | None = None,
+    structure: Structure | None,
 ) -> Refined | None:  # fmt: skip
     """Fit a flow again; the fit stays as it is.
 

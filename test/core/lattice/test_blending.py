@@ -167,25 +167,6 @@ def test_where_the_lattice_is_sharper_depths_are_not_believed():
     assert np.linalg.norm((blended - own)[right], axis=1).mean() < 0.5
 
 
-def floor_at(points: np.ndarray) -> np.ndarray:
-    """Inverse depths of a floor."""
-    return RHO * (0.5 + points[:, 1] / SIZE[1])
-
-
-def between_depths(blend: Blend, points: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    return blend._between(Depths(points, rho, np.ones(len(points))))[0]
-
-
-def test_depths_of_little_weight_hardly_count():
-    blend, all_over = Blend(CAMERA, COARSE, 0.3), depths()
-    rho = np.where(np.arange(len(all_over.points)) % 2, RHO, 5 * RHO)
-    weight = np.where(np.arange(len(all_over.points)) % 2, 1.0, 1e-3)
-    found, near = blend._between(Depths(all_over.points, rho, weight))
-    assert found == pytest.approx(RHO, rel=0.05)
-    every = blend._between(all_over)[1]
-    assert near.sum() == pytest.approx(0.5 * every.sum(), rel=0.02)
-
-
 def test_another_fit_takes_the_depths_that_are_near_a_node():
     blend, known = Blend(CAMERA, COARSE, 0.3), depths()
     left = known.points[:, 0] < 80
@@ -205,43 +186,6 @@ def test_another_fit_takes_the_depths_that_are_near_a_node():
     assert rigid is not None and rigid.structure is not None
     of_flow = LATTICE.flow_error_px**2 / CAMERA.fx**2  # along the image plane
     assert rigid.structure.information.max() < 1.01 / of_flow
-
-
-def test_a_floor_goes_on_beyond_the_points():
-    blend, known = Blend(CAMERA, COARSE, 0.3), depths().points
-    known = known[known[:, 1] < 90]
-    nodes = blend.fine.pixels
-    between, true = between_depths(blend, known, floor_at(known)).ravel(), floor_at(nodes)
-    beyond, among = nodes[:, 1] > 110, nodes[:, 1] < 80
-    as_the_last = np.abs(floor_at(known).max() - true)[beyond].mean()
-    assert np.abs(between - true)[beyond].mean() < 0.6 * as_the_last
-    assert between[among] == pytest.approx(true[among], abs=0.06 * RHO)
-
-
-def test_depths_between_points_are_within_a_factor_of_theirs(monkeypatch: pytest.MonkeyPatch):
-    settings = replace(LATTICE, beyond=1.2)
-    monkeypatch.setattr("emoflow_ros.core.lattice.blending.LATTICE", settings)
-    blend, rng = Blend(CAMERA, COARSE, 0.3), np.random.default_rng(0)
-    known = rng.uniform([20, 10], [80, 120], (300, 2))
-    rho = RHO * (1 + 0.03 * (known[:, 0] - 50))
-    between = between_depths(blend, known, rho)
-    assert between.min() == pytest.approx(rho.min() / 1.2)
-    assert between.max() == pytest.approx(rho.max() * 1.2)
-
-
-@pytest.mark.parametrize("spacing_px", [8.0, 26.0, 200.0])
-def test_depths_reach_nodes_however_far_apart_these_are(spacing_px):
-    blend, known = Blend(CAMERA, Lattice.with_spacing(*SIZE, spacing_px), 0.3), depths().points
-    between = between_depths(blend, known, floor_at(known)).ravel()
-    nodes = blend.fine.pixels
-    inside = (nodes[:, 1] > 20) & (nodes[:, 1] < 110)
-    assert between[inside] == pytest.approx(floor_at(nodes)[inside], abs=0.06 * RHO)
-
-
-def test_one_depth_is_that_of_the_whole_scene():
-    blend = Blend(CAMERA, COARSE, 0.3)
-    between = between_depths(blend, np.array([[20.0, 30.0]]), np.array([RHO]))
-    assert between == pytest.approx(RHO)
 
 
 def test_without_events_both_count_the_same():

@@ -1,0 +1,99 @@
+"""Inverse depths between the points where they are known, by local linear regression.
+
+So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of a lens
+without distortion (Cleveland and Devlin, JASA 1988).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.lattice.settings import LATTICE
+
+Array = NDArray[np.float64]
+
+
+class BetweenDepths:
+    """Finds inverse depths at the nodes of a lattice.
+
+    Args:
+        lattice: whose nodes these are.
+
+    Attributes:
+        axes: places of its columns and rows, px.
+    """
+
+    def __init__(self, lattice: Lattice) -> None:
+        self._lattice = lattice
+        self.axes = (
+            np.linspace(0, lattice.width - 1, lattice.columns),
+            np.linspace(0, lattice.height - 1, lattice.rows),
+        )
+        self._spreads = [
+            (weight, *(_spread(nodes, reach) for nodes in self.axes))
+            for reach, weight in LATTICE.depth_reaches
+        ]
+
+    def __call__(self, depths: Depths) -> tuple[Array, Array]:
+        """Inverse depths (columns, rows), and how many known ones are near, by weight.
+
+        Points are handed on to the nodes around them first: there may be a thousand.
+
+        Args:
+            depths: of points in the lattice's pixels; one of them at least has a weight.
+        """
+        points, rho, lattice = depths.points, depths.inverse_depth, self._lattice
+        middle = points.mean(axis=0)
+        x, y = (points - middle).T
+        known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
+        known *= depths.weight
+        at_nodes = (_shares(points, lattice) @ known.T).T
+        at_nodes = at_nodes.reshape(-1, lattice.columns, lattice.rows)
+        sums = sum(
+            weight * (by_column @ at_nodes @ by_row) for weight, by_column, by_row in self._spreads
+        )
+        number, tiny = sums[0], np.finfo(float).tiny
+        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(number, tiny)
+        own = LATTICE.slope_px**2
+        xx, xy, yy = xx - x * x + own, xy - x * y, yy - y * y + own
+        rx, ry = rx - mean * x, ry - mean * y
+        columns, rows = self.axes
+        to_x, to_y = (columns - middle[0])[:, None] - x, rows - middle[1] - y
+        slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
+        found = mean + slope / (xx * yy - xy * xy)
+        counts = rho[depths.weight > 0.1 * depths.weight.max()]
+        found = np.clip(found, counts.min() / LATTICE.beyond, counts.max() * LATTICE.beyond)
+        return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * number
+
+
+def nearness(places: Array, nodes: Array, reach: float) -> Array:
+    """Gaussian weights (nodes, places) of the distance between nodes and places along an axis."""
+    weights = np.exp(-0.5 * ((nodes[:, None] - places) / reach) ** 2)
+    return np.asarray(weights / (np.sqrt(2 * np.pi) * reach))
+
+
+def _spread(nodes: Array, reach: float) -> Array:
+    """Gaussian weights (nodes, nodes) for what was handed on to the nodes around a point.
+
+    Handing on is a spread itself, of a sixth of the squared distance of the nodes.
+    """
+    apart = nodes[1] - nodes[0]
+    return nearness(nodes, nodes, float(np.sqrt(max(reach**2 - apart**2 / 6, apart**2 / 4))))
+
+
+def _shares(points: Array, lattice: Lattice) -> csr_array:
+    """Matrix (nodes, N) that hands points (N, 2) px on to the four nodes around each."""
+    most = np.array([lattice.columns, lattice.rows]) - 1
+    place = np.clip(points * lattice.per_px, 0, most)
+    first = np.minimum(place.astype(int), most - 1)
+    node, share = [], []
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        near = 1 - np.abs(place - first - corner)
+        column, row = (first + corner).T
+        node.append(column * lattice.rows + row)
+        share.append(near[:, 0] * near[:, 1])
+    which = np.tile(np.arange(len(points)), 4)
+    shape = (lattice.columns * lattice.rows, len(points))
+    return csr_array((np.concatenate(share), (np.concatenate(node), which)), shape=shape)

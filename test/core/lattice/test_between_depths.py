@@ -1,0 +1,91 @@
+"""Inverse depths at nodes, from points at which they are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from emoflow_ros.core.lattice.between_depths import BetweenDepths
+from emoflow_ros.core.lattice.field import Lattice
+from emoflow_ros.core.lattice.refinement import Depths
+from emoflow_ros.core.lattice.settings import LATTICE
+
+SIZE = 173, 130
+RHO = 0.08  # ways per window
+
+
+def closer_than(spacing_px: float) -> Lattice:
+    """Nodes three times as close as those of a lattice of this spacing."""
+    lattice = Lattice.with_spacing(*SIZE, spacing_px)
+    return replace(lattice, columns=3 * lattice.columns - 2, rows=3 * lattice.rows - 2)
+
+
+FINE = closer_than(26.0)
+
+
+def all_over() -> np.ndarray:
+    """Points (N, 2) px all over the image."""
+    x, y = np.meshgrid(np.arange(4.0, SIZE[0], 8), np.arange(4.0, SIZE[1], 8))
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def floor_at(points: np.ndarray) -> np.ndarray:
+    """Inverse depths of a floor."""
+    return RHO * (0.5 + points[:, 1] / SIZE[1])
+
+
+def between(points: np.ndarray, rho: np.ndarray, lattice: Lattice = FINE) -> np.ndarray:
+    return BetweenDepths(lattice)(Depths(points, rho, np.ones(len(points))))[0].ravel()
+
+
+def test_depths_of_little_weight_hardly_count():
+    points, odd = all_over(), np.arange(len(all_over())) % 2
+    depths = Depths(points, np.where(odd, RHO, 5 * RHO), np.where(odd, 1.0, 1e-3))
+    found, near = BetweenDepths(FINE)(depths)
+    assert found == pytest.approx(RHO, rel=0.05)
+    every = BetweenDepths(FINE)(replace(depths, weight=np.ones(len(points))))[1]
+    assert near.sum() == pytest.approx(0.5 * every.sum(), rel=0.02)
+
+
+def test_one_of_little_weight_does_not_widen_what_is_possible():
+    points = all_over()[all_over()[:, 1] < 90]
+    outlier = np.array([[86.0, 100.0]])
+    alone = between(points, floor_at(points))
+    rho = np.append(floor_at(points), 100 * RHO)
+    weight = np.append(np.ones(len(points)), 1e-6)
+    found, _ = BetweenDepths(FINE)(Depths(np.concatenate([points, outlier]), rho, weight))
+    assert found.max() <= LATTICE.beyond * floor_at(points).max() * (1 + 1e-9)
+    among = FINE.pixels[:, 1] < 80
+    assert found.ravel()[among] == pytest.approx(alone[among], rel=0.01)
+
+
+def test_a_floor_goes_on_beyond_the_points():
+    known, nodes = all_over()[all_over()[:, 1] < 90], FINE.pixels
+    found, true = between(known, floor_at(known)), floor_at(nodes)
+    beyond, among = nodes[:, 1] > 110, nodes[:, 1] < 80
+    as_the_last = np.abs(floor_at(known).max() - true)[beyond].mean()
+    assert np.abs(found - true)[beyond].mean() < 0.6 * as_the_last
+    assert found[among] == pytest.approx(true[among], abs=0.06 * RHO)
+
+
+def test_depths_between_points_are_within_a_factor_of_theirs(monkeypatch: pytest.MonkeyPatch):
+    settings = replace(LATTICE, beyond=1.2)
+    monkeypatch.setattr("emoflow_ros.core.lattice.between_depths.LATTICE", settings)
+    known = np.random.default_rng(0).uniform([20, 10], [80, 120], (300, 2))
+    rho = RHO * (1 + 0.03 * (known[:, 0] - 50))
+    found = between(known, rho)
+    assert found.min() == pytest.approx(rho.min() / 1.2)
+    assert found.max() == pytest.approx(rho.max() * 1.2)
+
+
+@pytest.mark.parametrize("spacing_px", [8.0, 26.0, 200.0])
+def test_depths_reach_nodes_however_far_apart_these_are(spacing_px):
+    known, lattice = all_over(), closer_than(spacing_px)
+    nodes = lattice.pixels
+    inside = (nodes[:, 1] > 20) & (nodes[:, 1] < 110)
+    found = between(known, floor_at(known), lattice)
+    assert found[inside] == pytest.approx(floor_at(nodes)[inside], abs=0.06 * RHO)
+
+
+def test_one_depth_is_that_of_the_whole_scene():
+    assert between(np.array([[20.0, 30.0]]), np.array([RHO])) == pytest.approx(RHO)
