@@ -39,6 +39,7 @@ class FrontEndSettings:
         reach_px: a patch is not found further from there, px.
         border_px: of the image, where patches would be cut off, px.
         most_patches, distance_px: how many, and how far apart, px; more while the flow turns.
+        distance: the same over the longer side of a small image, which has fewer px for its edges.
         edge_share: of the structure tensor's trace in the score of a patch: edges count, too.
         least_score: of a patch over the 99.5 % quantile of the scores.
         noise_px: of a place, however sharp the edges, px: rounding to pixels.
@@ -64,7 +65,8 @@ class FrontEndSettings:
     reach_px: float = 7.0
     border_px: int = 5
     most_patches: int = 250
-    distance_px: int = 5
+    distance_px: float = 5.0
+    distance: float = 0.0145
     edge_share: float = 0.1
     least_score: float = 0.04
     noise_px: float = 0.08

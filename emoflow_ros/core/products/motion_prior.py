@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.lattice.uncertainty import without_translation
-from emoflow_ros.core.products.settings import STREAM
 from emoflow_ros.core.types.estimate import Motion
 from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
+
+_WIDEST = np.radians(BackEndSettings.widest_direction_deg)
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Known:
         """Return it without a direction that is wider than 60 degrees."""
         if not self.translates:
             return self
-        if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= STREAM.widest**2:
+        if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= _WIDEST**2:
             return self
         return replace(self, linear=np.zeros(3), covariance=without_translation(self.covariance))
 

@@ -39,7 +39,6 @@ class StreamSettings:
         one_sided: at most this share of them of the other polarity,
         apart: and the share of ON events was another one before, by so much.
         kept: of the share before, window by window.
-        widest: standard deviation from which a direction is not known, rad.
         narrow_w, narrow_v: standard deviations of w, rad/s, and of v, rad, along any axis, up to
             which nothing needs a word.
         few_events: number of events below which the word for a wide one is `events`.
@@ -69,7 +68,6 @@ class StreamSettings:
     one_sided: float = 0.05
     apart: float = 0.3
     kept: float = 0.8
-    widest: float = radians(60.0)
     narrow_w: float = radians(5.0)
     narrow_v: float = radians(15.0)
     few_events: int = 5_000

@@ -150,14 +150,25 @@ def test_an_older_appearance_tells_less():
     assert old < 0.6 * young
 
 
+def apart(patches: Patches) -> float:
+    """Least distance of two patches along x or y, px."""
+    distance = np.abs(patches.place[:, None] - patches.place[None]).max(axis=-1)
+    return float(distance[np.triu_indices(len(patches), 1)].min())
+
+
 def test_new_patches_keep_off_those_that_are_followed():
     image = texture()
     patches = first(image)
     again = choose(slice_of(image), patches.at(np.arange(len(patches)) % 2 == 0), CAMERA, SETTINGS)
-    apart = np.abs(again.place[:, None] - again.place[None]).max(axis=-1)
-    np.fill_diagonal(apart, 99)
-    assert apart.min() > SETTINGS.distance_px
+    assert apart(again) > round(SETTINGS.distance * CAMERA.width) == 2
     assert len(again) > 0.8 * len(patches)
+
+
+def test_patches_of_a_small_image_are_closer_together():
+    as_large = replace(SETTINGS, distance=1.0)
+    few = choose(slice_of(texture()), Patches.none(), CAMERA, as_large)
+    assert apart(first(texture())) < SETTINGS.distance_px < apart(few)
+    assert len(first(texture())) > len(few) > 50
 
 
 def test_an_empty_slice_has_no_patches():
