@@ -1,8 +1,7 @@
 """Inverse depths between the points where they are known, by local linear regression.
 
 So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of a lens
-without distortion (Cleveland and Devlin, JASA 1988). Where none is near, far ones count more: what
-lies between things that are seen is behind them.
+without distortion (Cleveland and Devlin, JASA 1988).
 """
 
 import numpy as np
@@ -50,14 +49,13 @@ class BetweenDepths:
         x, y = (points - middle).T
         known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
         known *= depths.weight
-        counts = rho[depths.weight > 0.1 * depths.weight.max()]
-        known = np.concatenate([known, _far(rho / np.median(counts)) * known])
         at_nodes = (_shares(points, lattice) @ known.T).T
-        near, far = at_nodes.reshape(2, -1, lattice.columns, lattice.rows)
-        (weight, by_column, by_row), *wide = self._spreads
-        near = weight * (by_column @ near @ by_row)
-        sums = near + sum(weight * (by_column @ far @ by_row) for weight, by_column, by_row in wide)
-        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(sums[0], np.finfo(float).tiny)
+        at_nodes = at_nodes.reshape(-1, lattice.columns, lattice.rows)
+        sums = sum(
+            weight * (by_column @ at_nodes @ by_row) for weight, by_column, by_row in self._spreads
+        )
+        number, tiny = sums[0], np.finfo(float).tiny
+        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(number, tiny)
         own = LATTICE.slope_px**2
         xx, xy, yy = xx - x * x + own, xy - x * y, yy - y * y + own
         rx, ry = rx - mean * x, ry - mean * y
@@ -65,14 +63,9 @@ class BetweenDepths:
         to_x, to_y = (columns - middle[0])[:, None] - x, rows - middle[1] - y
         slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
         found = mean + slope / (xx * yy - xy * xy)
+        counts = rho[depths.weight > 0.1 * depths.weight.max()]
         found = np.clip(found, counts.min() / LATTICE.beyond, counts.max() * LATTICE.beyond)
-        return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * near[0]
-
-
-def _far(inverse_depth: Array) -> Array:
-    """How much points count from afar, by their inverse depths (N,) over the usual one."""
-    # Of those beyond the usual range it is known too poorly to tell more.
-    return 1 / (inverse_depth**LATTICE.behind + LATTICE.beyond**-LATTICE.behind)
+        return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * number
 
 
 def nearness(places: Array, nodes: Array, reach: float) -> Array:

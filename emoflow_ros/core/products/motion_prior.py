@@ -12,8 +12,6 @@ from emoflow_ros.core.types.events import NS_PER_S
 
 Array = NDArray[np.float64]
 
-_WIDEST = np.radians(BackEndSettings.widest_direction_deg)
-
 
 @dataclass(frozen=True)
 class Known:
@@ -40,7 +38,8 @@ class Known:
         """Return it without a direction that is wider than 60 degrees."""
         if not self.translates:
             return self
-        if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= _WIDEST**2:
+        widest = np.radians(BackEndSettings.widest_direction_deg)
+        if np.linalg.eigvalsh(self.covariance[:3, :3])[-1] <= widest**2:
             return self
         return replace(self, linear=np.zeros(3), covariance=without_translation(self.covariance))
 
