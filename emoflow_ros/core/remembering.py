@@ -16,7 +16,7 @@ from emoflow_ros.core.back_end.known_depths import known_depths
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt, interpolated
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
+from emoflow_ros.core.front_end.slices import SliceEvents, flow_at, grid_nodes
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.bending import Bend
@@ -35,6 +35,7 @@ from emoflow_ros.core.types.estimate import (
     velocity_at,
 )
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.types.expected import Expected
 from emoflow_ros.core.types.gyro import GyroState
 from emoflow_ros.core.window_evidence import measured_by_window, variance_of_window
 
@@ -100,7 +101,7 @@ class RememberingEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Estimate a window's flow and motion."""
-        found = self._estimator.estimate(window)
+        found = self._estimator.estimate(replace(window, expected=self._expected(window)))
         self._memory, estimate = self.step(self._memory, window, found)
         return estimate
 
@@ -128,6 +129,19 @@ class RememberingEstimator:
             return memory, self._first(found)
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
         return self._read(window, found, memory, motion)
+
+    def _expected(self, window: Window) -> Expected | None:
+        """How the scene moves if all goes on as at the newest node; None where that is unknown."""
+        end, state = self._memory.end, self._memory.odometry
+        motion = state.motion(int(state.t[-1])) if len(state.t) else None
+        if end is None or motion is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
+            return None
+        flow, sensor_px = self._odometry.scene_flow(state), self.image.sensor_px
+        speed = float(np.linalg.norm(motion.linear))
+        direction = motion.linear / speed if speed > 0 else motion.linear
+        return Expected(
+            lambda points: flow_at(flow, points / sensor_px) * sensor_px, motion.angular, direction
+        )
 
     def nothing(self) -> Memory:
         """A memory of nothing."""

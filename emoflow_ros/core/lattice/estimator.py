@@ -111,16 +111,15 @@ class LatticeEstimator:
         events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
-        fit, last = self._fit, self._last
+        fit, last = self._fit, self._before(window)
         self._events = events
         fit.known = None
         if measurement is not None:
             fit.known = KnownRotation.measured(measurement, window.duration)
-        warm = last is not None and last.reaches(window)
-        coarse = fit.contrasts[0.25]
+        warm, coarse = last is not None, fit.contrasts[0.25]
         stop: str | None
         try:
-            if warm and last is not None:
+            if last is not None:
                 flows = last.flows(window)
                 if fit.known is not None:
                     rotated = last.rotation(window)
@@ -148,6 +147,17 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         return result
+
+    def _before(self, window: Window) -> Memory | None:
+        """The window before, or else what is expected of this one; None if it starts cold."""
+        last, expected = self._last, window.expected
+        if last is not None and last.reaches(window):
+            return last
+        if expected is None:
+            return None
+        if self.config.model == "auto":
+            self._model = MotionModel.FULL if expected.linear.any() else MotionModel.ROTATION
+        return Memory.expected(window, self._fit, self._image.sensor_px)
 
     def _fit_cold(self, events: WindowEvents) -> str | None:
         """Search a constant flow, refine it, then add the egomotion; None if nothing moves."""

@@ -50,6 +50,24 @@ class Memory:
             )
         return cls(window.t_start, window.t_end, fit.flow, motion, structure)
 
+    @classmethod
+    def expected(cls, window: Window, fit: LatticeFit, sensor_px: NDArray[np.float32]) -> "Memory":
+        """Take what is expected of a window for the one before; it shows no structure.
+
+        Args:
+            window: of which something is expected.
+            fit: that starts from it.
+            sensor_px: (2,) pixels of the sensor per one of the fit's.
+        """
+        expected, lattice = window.expected, fit.lattice
+        assert expected is not None
+        velocity = expected.flow(lattice.pixels * sensor_px) / sensor_px
+        flow = np.empty(lattice.shape, np.float32)
+        flow[:] = (window.duration * velocity).reshape(lattice.columns, lattice.rows, 1, 2)
+        v = expected.linear if expected.linear.any() else np.array([0.0, 0.0, 1.0])
+        motion = Motion.constant(window.duration * expected.angular, v)
+        return cls(window.t_start, window.t_end, flow, motion, None)
+
     def reaches(self, window: Window) -> bool:
         """Tell whether a window comes soon enough after this one to start from it."""
         silence = window.t_start - self.t_end

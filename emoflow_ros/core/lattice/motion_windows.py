@@ -39,8 +39,9 @@ class MotionWindows:
     too. A motion that changes within a part by more than the fit can follow (`change_px` of its
     quality) shortens the next one in the same way.
 
-    While no motion is known, whole windows are tried, for long parts of slow motion tell much more
-    than short ones; if failures go on, a quarter or 6 % of the events in every second window.
+    While no motion was seen, a part is as long as the expected flow allows. Where none is expected,
+    whole windows are tried, for long parts of slow motion tell much more than short ones; if
+    failures go on, a quarter or 6 % of the events in every second window.
 
     Args:
         estimator: of the parts.
@@ -87,8 +88,13 @@ class MotionWindows:
         return estimate
 
     def _first_part(self, window: Window) -> Window:
-        """Choose a part while no motion is known."""
-        share = LATTICE.first_shares[max(0, self._failures - 1) % len(LATTICE.first_shares)]
+        """Choose a part while no motion was seen: as long as what is expected allows, or try."""
+        if window.expected is not None:
+            way = window.duration * np.linalg.norm(window.expected.flow(self._grid), axis=1)
+            share = self._longest_px / max(_STILL_PX, float(np.quantile(way, LATTICE.fast)))
+        else:
+            tried = max(0, self._failures - 1) % len(LATTICE.first_shares)
+            share = LATTICE.first_shares[tried]
         return window.since(self._choose_start(window, round(share * window.events.came)))
 
     def _choose_start(self, window: Window, count: int) -> int:

@@ -113,7 +113,7 @@ class Quality:
         residual_px: robust scale of the epipolar residual over the window, in px.
         inlier_fraction: share of the residuals within 3 robust scales.
         runtime_s: wall time of the whole estimate.
-        warm: whether the previous window's result was the start.
+        warm: whether the previous window's result was the start, or what was expected.
         change_px: how far the first or the last third of the window moves off the fit, in px of
             the working image: what the fit's model of time leaves out. NaN where not known.
     """

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from emoflow_ros.core.types.expected import Expected
 from emoflow_ros.core.types.gyro import GyroReadings
 from emoflow_ros.core.types.options import option
 from emoflow_ros.errors import InputError
@@ -92,13 +93,14 @@ class Window:
 
     In a window by count, events that share the time of the first one left out may lie at t_end.
     `gyro` holds the readings of the interval, and the next one on either side; None where there
-    is no gyro.
+    is no gyro. `expected` tells how the scene may move in it; None where that is not known.
     """
 
     t_start: int
     t_end: int
     events: Events
     gyro: GyroReadings | None = None
+    expected: Expected | None = None
 
     @property
     def duration(self) -> float:

@@ -18,6 +18,7 @@ from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.stream.bounded_windows import BoundedWindows
 from emoflow_ros.core.stream.cleaning import CleanWindows
 from emoflow_ros.core.types.events import NS_PER_S, Events, Window, WindowPolicy, WindowSlicer
+from emoflow_ros.core.types.expected import Expected
 from emoflow_ros.factory import make_estimator
 
 
@@ -59,6 +60,21 @@ def test_the_displacement_is_the_length_of_the_path():
     for _ in range(2):
         estimator.estimate(window)
     assert [len(w.events) for w in inner.windows] == [1000, 667]  # 12 px, two thirds next
+
+
+@pytest.mark.parametrize(("px_s", "events"), [(60.0, 1000), (160.0, 500), (800.0, 100)])
+def test_where_no_motion_was_seen_a_part_is_as_long_as_the_expected_flow_allows(px_s, events):
+    """8 px, and 100 events at least; where nothing is expected the third part has 250."""
+    path = Path([200.0] * 3)
+    inner = ExactEstimator(path, lambda k: True)
+    estimator = MotionWindows(inner, CAMERA, policy(bound=8.0, min_count=100))
+    flow = np.array([0.6 * px_s, -0.8 * px_s])
+    expected = Expected(lambda points: np.tile(flow, (len(points), 1)), np.zeros(3), np.zeros(3))
+    window = Window(START, START + 100 * MS, path.events[:1000])
+    for _ in range(2):
+        estimator.estimate(window)
+    estimator.estimate(replace(window, expected=expected))
+    assert [len(w.events) for w in inner.windows] == [1000, 1000, events]
 
 
 @pytest.mark.parametrize(("change_px", "events"), [(2.0, 1000), (8.0, 500), (32.0, 250)])
