@@ -24,12 +24,12 @@ class ErrorLaw:
         unknown_angle: that counts where a direction is unknown.
     """
 
-    angular: float = 190.0
+    angular: float = 165.0
     direction: float = 0.37
     of_gyro: float = 0.5
     first: float = 3.0
     share: float = 0.15
-    usual_revision: float = 0.05
+    usual_revision: float = 0.07
     usual_turn: float = 0.37
     least: float = 0.01
     least_cost: float = 0.6
