@@ -128,7 +128,7 @@ class LatticeSettings:
     change_px: float = 2.0
     few_events: int = 300
     third_events: int = 3_000
-    refining_steps: int = 3
+    refining_steps: int = 2
     stiffer: float = 10.0
     hardly: float = 0.6
     closer: int = 3
