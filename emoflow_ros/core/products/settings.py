@@ -110,7 +110,7 @@ class PresentSettings:
     steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
     of_walk: float = 8.0
-    of_window: float = 2.0
+    of_window: float = 1.5
     of_fit: float = 0.2
     least_since_s: float = 0.02
     newest_ns: int = 20_000_000
