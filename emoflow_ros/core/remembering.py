@@ -136,12 +136,13 @@ class RememberingEstimator:
         motion = state.motion(int(state.t[-1])) if len(state.t) else None
         if end is None or motion is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
             return None
-        flow, sensor_px = self._odometry.scene_flow(state), self.image.sensor_px
-        speed = float(np.linalg.norm(motion.linear))
+        speed, sensor_px = float(np.linalg.norm(motion.linear)), self.image.sensor_px
         direction = motion.linear / speed if speed > 0 else motion.linear
-        return Expected(
-            lambda points: flow_at(flow, points / sensor_px) * sensor_px, motion.angular, direction
-        )
+
+        def flow(points: Array) -> Array:  # most windows do not ask for it
+            return flow_at(self._odometry.scene_flow(state), points / sensor_px) * sensor_px
+
+        return Expected(flow, motion.angular, direction)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
