@@ -16,7 +16,7 @@ from emoflow_ros.core.back_end.known_depths import known_depths
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt, interpolated
 from emoflow_ros.core.front_end.settings import FrontEndSettings
-from emoflow_ros.core.front_end.slices import SliceEvents, flow_at, grid_nodes
+from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.lattice.bending import Bend
@@ -35,9 +35,12 @@ from emoflow_ros.core.types.estimate import (
     velocity_at,
 )
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
-from emoflow_ros.core.types.expected import Expected
 from emoflow_ros.core.types.gyro import GyroState
-from emoflow_ros.core.window_evidence import measured_by_window, variance_of_window
+from emoflow_ros.core.window_evidence import (
+    expected_by_memory,
+    measured_by_window,
+    variance_of_window,
+)
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -61,6 +64,11 @@ class Memory:
     experience: Experience
     end: int | None = None
     shown: tuple[ShownFlow, ...] = ()
+
+    def end_before(self, window: Window) -> int | None:
+        """End of the last slice, ns; None where a window does not go on from there."""
+        follows = self.end is not None and 0 <= window.t_end - self.end <= _LONGEST_GAP_NS
+        return self.end if follows else None
 
 
 class RememberingEstimator:
@@ -101,7 +109,11 @@ class RememberingEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Estimate a window's flow and motion."""
-        found = self._estimator.estimate(replace(window, expected=self._expected(window)))
+        memory = self._memory
+        if memory.end_before(window) is not None:
+            expected = expected_by_memory(self._odometry, memory.odometry, self.image)
+            window = replace(window, expected=expected)
+        found = self._estimator.estimate(window)
         self._memory, estimate = self.step(self._memory, window, found)
         return estimate
 
@@ -113,8 +125,8 @@ class RememberingEstimator:
             window: its events.
             found: what the lattice estimates of it.
         """
-        end = memory.end
-        if end is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
+        end = memory.end_before(window)
+        if end is None:
             memory, end = self.nothing(), window.t_start
         seen, before = found.flow is not None, memory.odometry
         if not seen and (found.status is not Status.NO_MOTION or before.adjusted is None):
@@ -129,20 +141,6 @@ class RememberingEstimator:
             return memory, self._first(found)
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
         return self._read(window, found, memory, motion)
-
-    def _expected(self, window: Window) -> Expected | None:
-        """How the scene moves if all goes on as at the newest node; None where that is unknown."""
-        end, state = self._memory.end, self._memory.odometry
-        motion = state.motion(int(state.t[-1])) if len(state.t) else None
-        if end is None or motion is None or not 0 <= window.t_end - end <= _LONGEST_GAP_NS:
-            return None
-        speed, sensor_px = float(np.linalg.norm(motion.linear)), self.image.sensor_px
-        direction = motion.linear / speed if speed > 0 else motion.linear
-
-        def flow(points: Array) -> Array:  # most windows do not ask for it
-            return flow_at(self._odometry.scene_flow(state), points / sensor_px) * sensor_px
-
-        return Expected(flow, motion.angular, direction)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""

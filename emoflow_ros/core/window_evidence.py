@@ -1,13 +1,19 @@
-"""What a window's own flow, or a gyro, says of w: evidence for the adjustment of positions."""
+"""What a window tells the memory of positions of w, and what that expects of the next window."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.evidence import Measured
 from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.front_end.appearance import unit
+from emoflow_ros.core.front_end.slices import flow_at
 from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import rotation_by_parts
+from emoflow_ros.core.odometry import Odometry, State
 from emoflow_ros.core.types.estimate import Estimate
 from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.expected import Expected
 from emoflow_ros.core.types.gyro import GyroState
 
 
@@ -43,3 +49,21 @@ def variance_of_window(found: Estimate, camera: Camera, settings: BackEndSetting
         seconds = (found.t_end - found.t_start) / NS_PER_S
         spread = settings.unseen_px / (camera.fx * seconds)
     return max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + float(spread) ** 2
+
+
+def expected_by_memory(odometry: Odometry, state: State, image: WorkingImage) -> Expected | None:
+    """Expect that all goes on as at the newest node; None where nothing is adjusted.
+
+    Args:
+        odometry: of the memory.
+        state: what it remembers.
+        image: that the patches are followed in.
+    """
+    motion = state.motion(int(state.t[-1])) if len(state.t) else None
+    if motion is None:
+        return None
+
+    def flow(points: NDArray[np.float64]) -> NDArray[np.float64]:  # few windows ask for it
+        return flow_at(odometry.scene_flow(state), points / image.sensor_px) * image.sensor_px
+
+    return Expected(flow, motion.angular, unit(motion.linear))

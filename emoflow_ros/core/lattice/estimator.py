@@ -111,8 +111,10 @@ class LatticeEstimator:
         events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
-        fit, last = self._fit, self._before(window)
+        fit, last = self._fit, self._last
         self._events = events
+        if last is None or not last.reaches(window):
+            last = Memory.expected(window, fit, self._image.sensor_px)
         fit.known = None
         if measurement is not None:
             fit.known = KnownRotation.measured(measurement, window.duration)
@@ -126,6 +128,7 @@ class LatticeEstimator:
                     flows += [fit.rotated(flow, rotated) for flow in flows]
                 fit.flow = best_start(coarse, events, flows)
                 last.predict(fit, window)
+                self._model = last.model
                 stop = self._fit_warm(events)
                 # After the deadline there is no time for a cold fit, even if the flow is lost.
                 warm = self._late() or not is_lost(
@@ -147,17 +150,6 @@ class LatticeEstimator:
         if not (np.isfinite(result.angular).all() and np.isfinite(result.covariance).all()):
             return self._nothing(window, len(events), Status.DIVERGED)
         return result
-
-    def _before(self, window: Window) -> Memory | None:
-        """The window before, or else what is expected of this one; None if it starts cold."""
-        last, expected = self._last, window.expected
-        if last is not None and last.reaches(window):
-            return last
-        if expected is None:
-            return None
-        if self.config.model == "auto":
-            self._model = MotionModel.FULL if expected.linear.any() else MotionModel.ROTATION
-        return Memory.expected(window, self._fit, self._image.sensor_px)
 
     def _fit_cold(self, events: WindowEvents) -> str | None:
         """Search a constant flow, refine it, then add the egomotion; None if nothing moves."""
@@ -281,7 +273,7 @@ class LatticeEstimator:
     def _result(self, window: Window, quality: Quality) -> Estimate:
         """Remember the window that was fitted, and report it."""
         fit = self._fit
-        self._last = Memory.of(window, fit, scene=self._model is not MotionModel.ROTATION)
+        self._last = Memory.of(window, fit, self._model)
         if window.gyro is not None:
             w, covariance = self._reader.rotation_of_events(self._free)
             self._gyro.learn(w / window.duration, covariance / window.duration**2)

@@ -9,6 +9,7 @@ from emoflow_ros.core.lattice.egomotion import Motion
 from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.known import Structure
 from emoflow_ros.core.lattice.settings import LATTICE
+from emoflow_ros.core.types.estimate import MotionModel
 from emoflow_ros.core.types.events import NS_PER_S, Window
 
 # Shares of the flow's change in a window that may go on: the events decide.
@@ -24,6 +25,7 @@ class Memory:
         flow: (columns, rows, times, 2) px per window.
         motion: the egomotion.
         structure: what is known of the scene, or None.
+        model: of the motion.
     """
 
     t_start: int
@@ -31,42 +33,51 @@ class Memory:
     flow: NDArray[np.float32]
     motion: Motion
     structure: Structure | None
+    model: MotionModel
 
     @classmethod
-    def of(cls, window: Window, fit: LatticeFit, *, scene: bool) -> "Memory":
+    def of(cls, window: Window, fit: LatticeFit, model: MotionModel) -> "Memory":
         """Take it from a fit of a window, with a motion.
 
         Args:
             window: its interval.
             fit: of the window.
-            scene: whether it shows depths: a rotation does not.
+            model: of that motion; a rotation shows no depths.
         """
         motion, structure = fit.motion, None
         assert motion is not None
-        if scene:
+        if model is not MotionModel.ROTATION:
             flow = fit.node_flow.mean(axis=1)
             structure = Structure.observe(
                 fit.epipolar, flow, motion.at(0.5), fit.evidence, fit.structure
             )
-        return cls(window.t_start, window.t_end, fit.flow, motion, structure)
+        return cls(window.t_start, window.t_end, fit.flow, motion, structure, model)
 
     @classmethod
-    def expected(cls, window: Window, fit: LatticeFit, sensor_px: NDArray[np.float32]) -> "Memory":
+    def expected(
+        cls, window: Window, fit: LatticeFit, sensor_px: NDArray[np.float32]
+    ) -> "Memory | None":
         """Take what is expected of a window for the one before; it shows no structure.
 
         Args:
-            window: of which something is expected.
+            window: that nothing before it reaches.
             fit: that starts from it.
             sensor_px: (2,) pixels of the sensor per one of the fit's.
+
+        Returns:
+            None where nothing is expected.
         """
         expected, lattice = window.expected, fit.lattice
-        assert expected is not None
+        if expected is None:
+            return None
         velocity = expected.flow(lattice.pixels * sensor_px) / sensor_px
         flow = np.empty(lattice.shape, np.float32)
         flow[:] = (window.duration * velocity).reshape(lattice.columns, lattice.rows, 1, 2)
-        v = expected.linear if expected.linear.any() else np.array([0.0, 0.0, 1.0])
+        model, v = MotionModel.FULL, expected.linear
+        if not v.any():
+            model, v = MotionModel.ROTATION, np.array([0.0, 0.0, 1.0])
         motion = Motion.constant(window.duration * expected.angular, v)
-        return cls(window.t_start, window.t_end, flow, motion, None)
+        return cls(window.t_start, window.t_end, flow, motion, None, model)
 
     def reaches(self, window: Window) -> bool:
         """Tell whether a window comes soon enough after this one to start from it."""

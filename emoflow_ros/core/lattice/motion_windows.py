@@ -16,6 +16,7 @@ from emoflow_ros.core.stream.thinning import first_of_latest
 from emoflow_ros.core.types.estimate import Estimate, Estimator, FlowSampler, Status
 from emoflow_ros.core.types.events import Window, WindowPolicy
 
+Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _GRID_PX = 16  # distance between the pixels whose displacement counts
@@ -91,7 +92,7 @@ class MotionWindows:
         """Choose a part while no motion was seen: as long as what is expected allows, or try."""
         if window.expected is not None:
             way = window.duration * np.linalg.norm(window.expected.flow(self._grid), axis=1)
-            share = self._longest_px / max(_STILL_PX, float(np.quantile(way, LATTICE.fast)))
+            share = self._longer(way)
         else:
             tried = max(0, self._failures - 1) % len(LATTICE.first_shares)
             share = LATTICE.first_shares[tried]
@@ -109,17 +110,21 @@ class MotionWindows:
         return min(start, window.t_end - 1)
 
     def _next_count(self, flow: FlowSampler, change_px: float, part: Window) -> int:
-        longer = self._longest_px / max(_STILL_PX, self._displacement(flow, part))
+        longer = self._longer(self._way(flow, part))
         if change_px > 0:  # it grows with the square of the time
             longer = min(longer, (LATTICE.change_px / change_px) ** 0.5)
         return round(part.events.came * longer)
 
-    def _displacement(self, flow: FlowSampler, part: Window) -> float:
-        """Length of path that 90 % of the image's pixels keep to in the part, px."""
+    def _longer(self, way: Array) -> float:
+        """How many times as long a part may be whose pixels move by (N,) px: 90 % keep to that."""
+        return self._longest_px / max(_STILL_PX, float(np.quantile(way, LATTICE.fast)))
+
+    def _way(self, flow: FlowSampler, part: Window) -> Array:
+        """Length of the paths of the grid's pixels in the part, (N,) px."""
         length = part.t_end - part.t_start
         times = [part.t_start + leg * length // _LEGS for leg in range(_LEGS + 1)]
         legs = np.diff(flow.tracks(self._grid, times), axis=0)
-        return float(np.quantile(np.linalg.norm(legs, axis=-1).sum(axis=0), LATTICE.fast))
+        return np.asarray(np.linalg.norm(legs, axis=-1).sum(axis=0))
 
 
 class MotionChange:

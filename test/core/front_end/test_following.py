@@ -160,6 +160,10 @@ def test_new_patches_keep_off_those_that_are_followed():
     image = texture()
     patches = first(image)
     again = choose(slice_of(image), patches.at(np.arange(len(patches)) % 2 == 0), CAMERA, SETTINGS)
+    as_large = replace(SETTINGS, distance=1.0)
+    large = choose(slice_of(image), Patches.none(), CAMERA, as_large)
+    others = choose(slice_of(image), large.at(np.arange(len(large)) % 2 == 0), CAMERA, as_large)
+    assert apart(others) > SETTINGS.distance_px
     assert apart(again) > round(SETTINGS.distance * CAMERA.width) == 2
     assert len(again) > 0.8 * len(patches)
 

@@ -10,6 +10,7 @@ from emoflow_ros.core.lattice.fit import LatticeFit
 from emoflow_ros.core.lattice.known import INFORMATION_EXCESS, Structure
 from emoflow_ros.core.lattice.memory import Memory
 from emoflow_ros.core.lattice.normal_equations import NormalEquations
+from emoflow_ros.core.types.estimate import MotionModel
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
 
 CAMERA = Camera(346, 260, 226.4, 226.2, 173.6, 133.7)
@@ -76,7 +77,9 @@ def test_a_window_starts_from_the_motion_at_the_end_of_the_last_one(fit, begin_m
     ends = 0.1 * np.stack([w - more, w + more])  # of 0.1 s
     still = np.zeros(LATTICE.shape, np.float32)
     scene = Structure(np.ones(len(LATTICE.pixels)), np.ones(len(LATTICE.pixels)))
-    last = Memory(0, 100 * NS_PER_MS, still, Motion(ends, np.stack([V, V])), scene)
+    last = Memory(
+        0, 100 * NS_PER_MS, still, Motion(ends, np.stack([V, V])), scene, MotionModel.FULL
+    )
     begin = begin_ms * NS_PER_MS
     last.predict(fit, Window(begin, begin + length_ms * NS_PER_MS, Events.empty()))
     for s in (0.0, 1.0):

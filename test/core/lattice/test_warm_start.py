@@ -7,6 +7,7 @@ from emoflow_ros.config import load_config
 from emoflow_ros.core.lattice.egomotion import Motion
 from emoflow_ros.core.lattice.known import Structure
 from emoflow_ros.core.lattice.memory import Memory
+from emoflow_ros.core.types.estimate import MotionModel
 from emoflow_ros.core.types.events import NS_PER_MS, Events, Window
 
 MS = NS_PER_MS
@@ -16,7 +17,7 @@ NOTHING = Structure(np.zeros(4), np.zeros(4))
 def memory(start_ms: float, end_ms: float) -> Memory:
     flow = np.zeros((2, 2, 2, 2), np.float32)
     still = Motion.constant(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    return Memory(round(start_ms * MS), round(end_ms * MS), flow, still, NOTHING)
+    return Memory(round(start_ms * MS), round(end_ms * MS), flow, still, NOTHING, MotionModel.FULL)
 
 
 def window(start_ms: float, end_ms: float) -> Window:
