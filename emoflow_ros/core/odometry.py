@@ -14,6 +14,7 @@ from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
+from emoflow_ros.core.back_end.jackknife import spread, without_quarters
 from emoflow_ros.core.back_end.scene import (
     Grid,
     deformations,
@@ -25,9 +26,11 @@ from emoflow_ros.core.back_end.search import best, rotating, starts
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import (
     MotionAt,
+    between,
     carried_on,
     first_node,
     interpolated,
+    mixed,
     motion_at,
     superfluous_node,
     without_node,
@@ -72,6 +75,7 @@ class State:
         walks: how restless the camera is.
         adjusted: of the last step; None while patches are too few.
         hypotheses: ways that are possible at these nodes; None as well.
+        changes: (4, K, 3) rad/s of w at these nodes without a quarter of the patches; likewise.
     """
 
     walks: Walks
@@ -81,6 +85,7 @@ class State:
     measured: tuple[Measured, ...] = ()
     adjusted: Adjusted | None = None
     hypotheses: Hypotheses | None = None
+    changes: Array | None = None
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
@@ -88,6 +93,18 @@ class State:
             return None
         angular, linear, _ = interpolated(self.t, self.hypotheses.mean, t)
         return replace(motion_at(self.t, self.adjusted, t), angular=angular, linear=linear)
+
+    def spread(self, t: int) -> tuple[Array, Array]:
+        """How far the ways lie apart at a time (ns), and how far w rests on parts of the image.
+
+        Returns:
+            Covariances (3, 3) of the angular velocity, rad^2/s^2, of both, and of the direction of
+            translation, rad^2, of the first.
+        """
+        assert self.hypotheses is not None and self.changes is not None
+        of_w, of_v = self.hypotheses.spread(self.t, t)
+        changes = np.stack([mixed(change, *between(self.t, t)) for change in self.changes])
+        return of_w + spread(changes), of_v
 
 
 class Odometry:
@@ -224,7 +241,7 @@ class Odometry:
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2
         if len(state.t) < 3 or used.sum() < back.fewest_patches or x is None:
-            return replace(state, adjusted=None, hypotheses=None)
+            return replace(state, adjusted=None, hypotheses=None, changes=None)
         some = patches.at(used)
         problem = observations(some, back)
         known = prior(state.t, state.measured, state.walks, back)
@@ -245,6 +262,7 @@ class Odometry:
         if rotated is not None and rotated.cost - found.cost < back.rotation_cost * len(some):
             found = rotated
         hypotheses = Hypotheses.weighed(found, others, back)
+        changes = without_quarters(problem, found, known, back)
         found = found.of_unit_depth()
         try:
             walks = state.walks.learnt(found, known.seconds, back)
@@ -260,6 +278,7 @@ class Odometry:
             walks=walks,
             adjusted=found,
             hypotheses=hypotheses,
+            changes=changes,
         )
 
     def _completed(self, state: State, picture: Slice) -> State:

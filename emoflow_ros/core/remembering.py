@@ -214,7 +214,7 @@ class RememberingEstimator:
         state, experience, back = memory.odometry, memory.experience, self._odometry.back
         adjusted, hypotheses = state.adjusted, state.hypotheses
         assert adjusted is not None and hypotheses is not None
-        spread, spread_of_direction = hypotheses.spread(state.t, found.t)
+        spread, spread_of_direction = state.spread(found.t)
         cost, seconds = adjusted.mean_cost(back), window.duration
         if found.quality.warm:  # else what is short was tried, not measured
             seconds = (found.t_end - found.t_start) / NS_PER_S

@@ -15,6 +15,7 @@ from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.lattice.uncertainty import without_translation
+from emoflow_ros.core.odometry import State
 from emoflow_ros.core.remembering import RememberingEstimator
 from emoflow_ros.core.types.estimate import Estimate, MotionModel
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus
@@ -57,8 +58,8 @@ def last_of(run: Run, *, warm: bool = True) -> Estimate:
 
 
 def spread_of(monkeypatch: pytest.MonkeyPatch, variance: float) -> None:
-    """Let other ways lie apart by variances of w and, twice as much, of the direction."""
-    monkeypatch.setattr(Hypotheses, "spread", lambda *_: (variance * W_ONLY, 2 * variance * V_ONLY))
+    """Let ways and parts of the image differ by variances of w, twice as much of the direction."""
+    monkeypatch.setattr(State, "spread", lambda *_: (variance * W_ONLY, 2 * variance * V_ONLY))
 
 
 def at_one_with_the_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,6 +117,30 @@ def test_half_the_squared_distance_to_the_lattice_s_w_in_the_window_is_added(
     assert np.degrees(np.linalg.norm(away)) > 1
     added = whole.covariance[3:, 3:] - without.covariance[3:, 3:]
     assert added == pytest.approx(0.5 * np.outer(away, away))
+
+
+def test_what_rests_on_a_part_of_the_image_is_spread_as_other_ways_are(
+    calm: Run, monkeypatch: pytest.MonkeyPatch
+):
+    camera = calm.recording.camera
+    lattice = LatticeEstimator(camera, LatticeConfig())
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
+    memory = reader.nothing()
+    for window in calm.windows[:4]:
+        memory, _ = reader.step(memory, window, lattice.estimate(window))
+    state = memory.odometry
+    assert state.changes is not None
+    assert (np.abs(state.changes).max(axis=(1, 2)) > 0).all()  # each quarter tells something
+    of_ways = np.diag([0.3, 0.2, 0.1])
+    monkeypatch.setattr(Hypotheses, "spread", lambda *_: (of_ways, V_ONLY))
+    growing = np.linspace(0, 1, len(state.t))[:, None]  # from node to node
+    state = replace(state, changes=np.stack([growing * row for row in np.eye(4, 3)]))
+    of_w, of_v = state.spread(int(state.t[-1]))
+    assert of_w == pytest.approx(of_ways + 0.75 * np.eye(3))
+    assert of_v == pytest.approx(V_ONLY)
+    halfway = int(state.t[-1] + state.t[-2]) // 2
+    share = (growing[-1, 0] + growing[-2, 0]) / 2
+    assert state.spread(halfway)[0] == pytest.approx(of_ways + 0.75 * share**2 * np.eye(3))
 
 
 def test_the_spread_of_other_ways_is_added(calm: Run, monkeypatch: pytest.MonkeyPatch):

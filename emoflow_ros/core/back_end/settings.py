@@ -24,7 +24,7 @@ class ErrorLaw:
         unknown_angle: that counts where a direction is unknown.
     """
 
-    angular: float = 165.0
+    angular: float = 130.0
     direction: float = 0.37
     of_gyro: float = 0.5
     first: float = 3.0

@@ -116,27 +116,27 @@ def interpolated(times: Times, x: Unknowns, t: int) -> tuple[Array, Array, tuple
         Angular velocity (3,) rad/s and velocity (3,) in mean depths per second, both in the
         camera's frame; node before t, and share of the way to the next one.
     """
-    node, share = _between(times, t)
+    node, share = between(times, t)
     rotation, _ = pose(times, x, t)
-    velocity = _mixed(x.velocity, node, share)
-    return _mixed(x.angular, node, share), rotation.T @ velocity, (node, share)
+    velocity = mixed(x.velocity, node, share)
+    return mixed(x.angular, node, share), rotation.T @ velocity, (node, share)
 
 
 def pose(times: Times, x: Unknowns, t: int) -> tuple[Array, Array]:
     """Interpolate rotation (3, 3) to the common frame and position (3,) at a time (ns)."""
-    node, share = _between(times, t)
+    node, share = between(times, t)
     step = np.array(rotation_vector(x.rotation[node].T @ x.rotation[node + 1]))
-    return rotated(x.rotation[node], share * step), _mixed(x.position, node, share)
+    return rotated(x.rotation[node], share * step), mixed(x.position, node, share)
 
 
-def _between(times: Times, t: int) -> tuple[int, float]:
+def between(times: Times, t: int) -> tuple[int, float]:
     """Node before a time, the first or last one at most, and share of the way to the next one."""
     t = min(max(t, int(times[0])), int(times[-1]))
     node = min(int(np.searchsorted(times, t, "right")) - 1, len(times) - 2)
     return node, float((t - times[node]) / (times[node + 1] - times[node]))
 
 
-def _mixed(values: Array, node: int, share: float) -> Array:
+def mixed(values: Array, node: int, share: float) -> Array:
     """Mean of the values (K, 3) of a node and the next one."""
     return np.asarray((1 - share) * values[node] + share * values[node + 1])
 
@@ -165,7 +165,7 @@ class AdjustedMotion:
         if self.by_gyro is not None:
             return self.by_gyro.angular(t)
         newest = int(self.times[-1])
-        own = _mixed(self.x.angular, *_between(self.times, t))
+        own = mixed(self.x.angular, *between(self.times, t))
         if t <= newest or self.ahead is None:
             return own
         return own + self.ahead.angular(t) - self.ahead.angular(newest)

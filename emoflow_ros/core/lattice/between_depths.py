@@ -4,6 +4,8 @@ So a floor goes on where it is blank: the inverse depth of a plane is linear in 
 without distortion (Cleveland and Devlin, JASA 1988).
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -39,10 +41,22 @@ class BetweenDepths:
     def __call__(self, depths: Depths) -> tuple[Array, Array]:
         """Inverse depths (columns, rows), and how many known ones are near, by weight.
 
-        Points are handed on to the nodes around them first: there may be a thousand.
+        Of two that differ the farther one counts more: the edge between them is the nearer
+        object's, which ends there, and most of what lies around is behind it.
 
         Args:
             depths: of points in the lattice's pixels; one of them at least has a weight.
+        """
+        found, near = self._between(depths)
+        around = self._lattice.interpolate(found.reshape(-1, 1), depths.points)[:, 0]
+        farther = around / np.maximum(depths.inverse_depth, np.finfo(float).tiny)
+        counts = np.clip(farther, 1 / LATTICE.farther, LATTICE.farther) ** 2
+        return self._between(replace(depths, weight=depths.weight * counts))[0], near
+
+    def _between(self, depths: Depths) -> tuple[Array, Array]:
+        """The same, all counting alike.
+
+        Points are handed on to the nodes around them first: there may be a thousand.
         """
         points, rho, lattice = depths.points, depths.inverse_depth, self._lattice
         middle = points.mean(axis=0)

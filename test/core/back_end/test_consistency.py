@@ -66,7 +66,7 @@ def test_where_the_adjustment_does_not_reach_back_only_distances_are_learnt():
 def test_the_error_of_w_goes_with_revisions_lost_patches_and_length():
     seen = first()
     usual = angular_factor(seen, 0.8, 0.1, LAW)
-    assert usual == pytest.approx(165 * 0.1 * (0.07 / 0.8) ** 2)
+    assert usual == pytest.approx(130 * 0.1 * (0.07 / 0.8) ** 2)
     revised = replace(seen, revised=seen.revised + np.log(2))
     assert angular_factor(revised, 0.8, 0.1, LAW) / usual == pytest.approx(4)
     assert angular_factor(seen, 0.4, 0.1, LAW) / usual == pytest.approx(4)

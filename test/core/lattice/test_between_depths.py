@@ -59,6 +59,15 @@ def test_one_of_little_weight_does_not_widen_what_is_possible():
     assert found.ravel()[among] == pytest.approx(alone[among], rel=0.01)
 
 
+def test_at_an_edge_of_depth_what_is_farther_counts_more():
+    points, apart = all_over(), FINE.pixels[:, 0] - SIZE[0] / 2
+    near = points[:, 0] > SIZE[0] / 2
+    found = between(points, np.where(near, 2 * RHO, RHO))
+    assert found[(apart > -5) & (apart < 5)].mean() < 1.35 * RHO  # alike it were 1.42
+    assert found[apart < -12] == pytest.approx(RHO, rel=0.03)
+    assert found[apart > 24] == pytest.approx(2 * RHO, rel=0.01)
+
+
 def test_a_floor_goes_on_beyond_the_points():
     known, nodes = all_over()[all_over()[:, 1] < 90], FINE.pixels
     found, true = between(known, floor_at(known)), floor_at(nodes)

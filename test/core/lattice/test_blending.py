@@ -92,9 +92,12 @@ def rigid_scene(blend: Blend, near: float = 1.0, seen: WindowEvents | None = Non
 
 
 def right_of(blend: Blend) -> np.ndarray:
-    """Nodes of the fine lattice that lie in the right half, away from its sides."""
+    """Nodes of the fine lattice that lie in the right half, away from its sides.
+
+    Beside the left half that counts, too, for it is farther away.
+    """
     x, y = blend.fine.pixels.T
-    return (x > SIZE[0] / 2 + 16) & (x < SIZE[0] - 20) & (y > 20) & (y < SIZE[1] - 20)
+    return (x > SIZE[0] / 2 + 24) & (x < SIZE[0] - 20) & (y > 20) & (y < SIZE[1] - 20)
 
 
 def share_of_depths(blend: Blend, flow: np.ndarray, blended: np.ndarray) -> np.ndarray:
