@@ -117,7 +117,11 @@ def refined(
     again = copy(fit)
     again.flow, again.structure = begin, structure
     again.known = KnownRotation.seen(w, of_w)
-    again.config = replace(fit.config, dec_weight=LATTICE.stiffer * fit.config.dec_weight)
+    again.config = replace(
+        fit.config,
+        dec_weight=LATTICE.stiffer * fit.config.dec_weight,
+        edge_px=LATTICE.sharper_edges * fit.config.edge_px,
+    )
     ends = again.known.ends()
     prior = None
     if estimate.translation_observable:

@@ -72,6 +72,8 @@ class LatticeSettings:
         refining_steps: of the second fit, at full resolution.
         stiffer: weight of its epipolar constraint over dec_weight; and that of a rotation, which
             leaves the flow no freedom of its own.
+        sharper_edges: its edge_px over that of the first fit: with the motion known edges of depth
+            show better.
         hardly: contrast of a rigid scene's flow over the lattice's, from which that is hardly
             sharper.
         closer: number of nodes of a blended flow for each one of the lattice, along an axis.
@@ -132,6 +134,7 @@ class LatticeSettings:
     third_events: int = 3_000
     refining_steps: int = 2
     stiffer: float = 10.0
+    sharper_edges: float = 0.5
     hardly: float = 0.6
     closer: int = 3
     depth_reaches: tuple[tuple[float, float], ...] = ((8.0, 1.0), (24.0, 0.03), (80.0, 0.003))
