@@ -47,13 +47,14 @@ class BetweenDepths:
         Args:
             depths: of points in the lattice's pixels; one of them at least has a weight.
         """
-        found, near = self._between(depths)
+        shares = _shares(depths.points, self._lattice)
+        found, near = self._between(depths, shares)
         around = self._lattice.interpolate(found.reshape(-1, 1), depths.points)[:, 0]
         farther = around / np.maximum(depths.inverse_depth, np.finfo(float).tiny)
         counts = np.clip(farther, 1 / LATTICE.farther, LATTICE.farther) ** 2
-        return self._between(replace(depths, weight=depths.weight * counts))[0], near
+        return self._between(replace(depths, weight=depths.weight * counts), shares)[0], near
 
-    def _between(self, depths: Depths) -> tuple[Array, Array]:
+    def _between(self, depths: Depths, shares: csr_array) -> tuple[Array, Array]:
         """The same, all counting alike.
 
         Points are handed on to the nodes around them first: there may be a thousand.
@@ -63,7 +64,7 @@ class BetweenDepths:
         x, y = (points - middle).T
         known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
         known *= depths.weight
-        at_nodes = (_shares(points, lattice) @ known.T).T
+        at_nodes = (shares @ known.T).T
         at_nodes = at_nodes.reshape(-1, lattice.columns, lattice.rows)
         sums = sum(
             weight * (by_column @ at_nodes @ by_row) for weight, by_column, by_row in self._spreads
