@@ -75,7 +75,7 @@ class State:
         walks: how restless the camera is.
         adjusted: of the last step; None while patches are too few.
         hypotheses: ways that are possible at these nodes; None as well.
-        changes: (4, K, 3) rad/s of w at these nodes without a quarter of the patches; likewise.
+        changes: (K, 4, 3) rad/s of w at these nodes without a quarter of the patches; likewise.
     """
 
     walks: Walks
@@ -103,8 +103,7 @@ class State:
         """
         assert self.hypotheses is not None and self.changes is not None
         of_w, of_v = self.hypotheses.spread(self.t, t)
-        changes = np.stack([mixed(change, *between(self.t, t)) for change in self.changes])
-        return of_w + spread(changes), of_v
+        return of_w + spread(mixed(self.changes, *between(self.t, t))), of_v
 
 
 class Odometry:

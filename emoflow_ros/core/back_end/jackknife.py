@@ -3,7 +3,7 @@
 Errors of neighbouring places go together: of edges that are taken for others, depths that are
 mixed up, things that move by themselves. Normal equations do not know that. Adjustments that do
 without a quarter of the patches do (Tukey, Annals of Mathematical Statistics 29, 1958; with blocks:
-Kuensch, Annals of Statistics 17, 1989).
+Künsch, Annals of Statistics 17, 1989).
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -27,7 +27,7 @@ _STEPS = 2  # the start is nearly the minimum
 def without_quarters(
     problem: Observations, found: Adjusted, prior: Prior, settings: BackEndSettings
 ) -> Array:
-    """Change of the angular velocities (4, K, 3), rad/s, if a quarter of the patches is left out.
+    """Change of the angular velocities (K, 4, 3), rad/s, if a quarter of the patches is left out.
 
     It is zero for a quarter without which there is no minimum.
 
@@ -53,7 +53,7 @@ def without_quarters(
         return x.angular - found.x.angular
 
     with ThreadPoolExecutor(2) as workers:
-        return np.stack(list(workers.map(change, range(_QUARTERS))))
+        return np.stack(list(workers.map(change, range(_QUARTERS))), axis=1)
 
 
 def spread(changes: Array) -> Array:

@@ -137,7 +137,7 @@ def between(times: Times, t: int) -> tuple[int, float]:
 
 
 def mixed(values: Array, node: int, share: float) -> Array:
-    """Mean of the values (K, 3) of a node and the next one."""
+    """Mean of the values (K, ...) of a node and the next one."""
     return np.asarray((1 - share) * values[node] + share * values[node + 1])
 
 
