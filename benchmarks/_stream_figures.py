@@ -117,7 +117,10 @@ def rows(recordings: Sequence[dict[str, Any]]) -> list[Row]:
         return 100.0 * sum(heard for _, heard in counts) / total if total else None
 
     silence = max(r["silence_s"] for r in recordings)
+    windows = sum(sum(r["statuses"].values()) for r in recordings)
+    dropped = sum(r["statuses"].get("dropped", 0) for r in recordings)
     found = [
+        Row("windows dropped, %", 100.0 * dropped / windows if windows else None),
         Row("100 ms intervals with a twist, moving, %", share("moving"), at_least=95.0),
         Row("100 ms intervals with a twist, at rest, %", share("rest"), at_least=95.0),
         Row("longest silence, s", silence if math.isfinite(silence) else None, at_most=0.5),

@@ -57,6 +57,16 @@ def test_a_recording_without_a_twist_is_not_left_out() -> None:
     by_name = {row.figure: row for row in rows([silent])}
     assert by_name["100 ms intervals with a twist, moving, %"].result == 0
     assert by_name["longest silence, s"].verdict == "not measured"
+    assert by_name["windows dropped, %"].result is None
+
+
+def test_dropped_windows_are_counted_over_all_recordings() -> None:
+    found = [
+        figures(Stream(seed, 2.0, [], Heard(), Heard(), told), speed, lambda t: np.zeros(3))
+        for seed, told in enumerate((["ok", "dropped", "still"], ["ok"]))
+    ]
+    by_name = {row.figure: row for row in rows(found)}
+    assert by_name["windows dropped, %"].result == 25
 
 
 def test_seeds_are_a_range_with_both_ends() -> None:
