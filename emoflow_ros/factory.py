@@ -37,9 +37,10 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.remembering import RememberingEstimator
     from emoflow_ros.core.stream.cleaning import CleanWindows
 
-    fit = LatticeEstimator(camera, lattice, config.imu)
+    by_motion = config.window.max_displacement_px > 0
+    fit = LatticeEstimator(camera, lattice, config.imu, whole=not by_motion)
     estimator: Estimator = fit
-    if config.window.max_displacement_px > 0:
+    if by_motion:
         estimator = MotionWindows(estimator, camera, config.window)
     if lattice.remembers:
         estimator = RememberingEstimator(estimator, camera, fit.refined)

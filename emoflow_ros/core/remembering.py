@@ -133,7 +133,8 @@ class RememberingEstimator:
             return replace(memory, end=end), found
         state = self._taken(before, window, end, found)
         if seen and self._is_refuted(state, found):
-            state = self._taken(self._odometry.start(), window, end, found)
+            since = max(end, found.t_start)  # a part that was chosen for its motion
+            state = self._taken(self._odometry.start(), window, since, found)
         if not (seen or self._follows(before, state)):
             return replace(memory, end=end), found
         memory, motion = replace(memory, odometry=state, end=window.t_end), state.motion(found.t)
@@ -194,9 +195,9 @@ class RememberingEstimator:
         else:
             grid = self._on_grid(found.flow, found.t)
         measured = measured_by_window(found, self.image.camera, self._odometry.back)
-        for events in slices(
-            window.events, since, window.t_end, grid, self.image.sensor_px, self._front
-        ):
+        front, px = self._front, self.image.sensor_px
+        most = front.first_slices if state.adjusted is None else front.most_slices
+        for events in slices(window.events, since, window.t_end, grid, px, most, front):
             at = int(np.clip(events.t, found.t_start, found.t_end))
             flow = np.zeros_like(grid) if found.flow is None else self._on_grid(found.flow, at)
             yield events, Hint(flow, found.angular, found.linear, measured)

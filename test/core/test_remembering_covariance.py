@@ -12,6 +12,7 @@ from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import interpolated
 from emoflow_ros.core.front_end.patches import Patches
+from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.lattice.uncertainty import without_translation
@@ -207,10 +208,13 @@ def test_with_a_gyro_the_error_of_its_w_widens_the_direction(calm: Run):
 
 
 @pytest.mark.parametrize("gyro", [GyroState.NONE, GyroState.USED])
-def test_a_first_window_is_less_sure_than_the_lattice(calm: Run, gyro: GyroState):
+def test_before_a_motion_is_adjusted_a_window_is_less_sure_than_the_lattice(
+    calm: Run, gyro: GyroState
+):
     camera = calm.recording.camera
     lattice = LatticeEstimator(camera, LatticeConfig())
-    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None))
+    front = FrontEndSettings(first_slices=2)
+    reader = RememberingEstimator(lattice, camera, lambda e, depths: (e, None), front)
     found = replace(lattice.estimate(calm.windows[0]), gyro=GyroStatus(gyro))
     covariance = np.diag([0.01, 0.02, 0.03, 0.1, 0.2, 0.3])
     known = replace(found, model=MotionModel.FULL, linear=np.eye(3)[0], covariance=covariance)

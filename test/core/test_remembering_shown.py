@@ -49,3 +49,14 @@ def test_an_adjustment_that_diverges_leaves_the_lattice_s_estimate(monkeypatch: 
         again = reader.estimate(window)
     assert again.status is Status.OK and again.flow is not None
     assert len(reader._memory.odometry.t) >= 3
+
+
+def test_a_first_window_has_slices_enough_for_a_motion():
+    """Three nodes at least are adjusted; later windows are cut into two slices at most."""
+    reader, windows = reader_and_windows(0.4)
+    reader.estimate(windows[0])
+    first = reader._memory.odometry
+    assert len(first.t) in (3, 4)
+    assert first.adjusted is not None
+    reader.estimate(windows[1])
+    assert 0 < len(set(reader._memory.odometry.t) - set(first.t)) <= 2

@@ -19,6 +19,7 @@ class FrontEndSettings:
         slice_share: quantile of the speed.
         longest_slice_s: a longer slice holds too much change of the motion, s.
         most_slices: of one window's new events: bounds the time.
+        first_slices: the same while no motion is adjusted: it takes three nodes.
         most_events: of one slice; more are thinned evenly. 60 000 are drawn in 1 ms.
         own_sharpness: sharpness of a slice drawn along the remembered scene's flow, over that
             along the lattice's, from which the former is taken.
@@ -51,6 +52,7 @@ class FrontEndSettings:
     slice_share: float = 0.7
     longest_slice_s: float = 0.1
     most_slices: int = 2
+    first_slices: int = 4
     most_events: int = 60_000
     own_sharpness: float = 0.97
     correlation: float = 0.5

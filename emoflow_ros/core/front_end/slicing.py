@@ -15,8 +15,9 @@ F32 = NDArray[np.float32]
 
 
 def slices(
-    events: Events, since: int, until: int, flow: F32, sensor_px: F32, settings: FrontEndSettings
-) -> Iterator[SliceEvents]:
+    events: Events, since: int, until: int, flow: F32, sensor_px: F32, most: int,
+    settings: FrontEndSettings,
+) -> Iterator[SliceEvents]:  # fmt: skip
     """Cut what is new of the stream into slices of about the same way.
 
     A slow scene's slice is longer than its part of the new events: it takes earlier ones, too.
@@ -27,12 +28,13 @@ def slices(
         until: end of the new events, ns.
         flow: (rows, columns, 2) px/s of the tracking image.
         sensor_px: (2,) sensor pixels per pixel of the tracking image.
+        most: slices.
         settings: of the front end.
     """
     speed = float(np.quantile(np.linalg.norm(flow, axis=-1), settings.slice_share))
     length = min(settings.slice_px / max(speed, 1.0), settings.longest_slice_s)
     new = (until - since) / NS_PER_S
-    count = min(settings.most_slices, max(1, math.ceil(new / length)))
+    count = min(most, max(1, math.ceil(new / length)))
     if count > 1:
         length = new / count
     for k in range(count):

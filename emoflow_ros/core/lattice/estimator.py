@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +43,16 @@ class LatticeEstimator:
         camera: with its lens.
         config: see LatticeConfig.
         imu: how good the gyro is whose readings the windows bring.
+        whole: whether windows are always taken whole; else of one whose motion changes more than a
+            fit can follow only the latest part is told, unless it starts cold or brings a gyro.
     """
 
     def __init__(
-        self, camera: Camera, config: LatticeConfig, imu: GyroConfig | None = None
-    ) -> None:
+        self, camera: Camera, config: LatticeConfig, imu: GyroConfig | None = None, *,
+        whole: bool = True,
+    ) -> None:  # fmt: skip
         self.config = config
+        self._whole = whole
         self._image = WorkingImage.of(camera)
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
@@ -74,7 +77,7 @@ class LatticeEstimator:
         measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
         self._started = time.perf_counter()
         with self._threads.limit(limits=1, user_api="blas"):
-            found = self._estimate(window, measurement)
+            found = self._estimate(window, measurement, whole=self._whole)
         return with_gyro(found, measurement, self.config)
 
     def refined(self, estimate: Estimate, depths: Depths) -> tuple[Estimate, ShownFlow | None]:
@@ -106,7 +109,9 @@ class LatticeEstimator:
         told = LatticeFlow(*self._image.on_sensor(lattice, flow), estimate.t_start, estimate.t_end)
         return replace(estimate, flow=told), found and found.shown
 
-    def _estimate(self, window: Window, measurement: GyroMeasurement | None) -> Estimate:
+    def _estimate(
+        self, window: Window, measurement: GyroMeasurement | None, *, whole: bool
+    ) -> Estimate:
         self._iterations = 0
         events = prepare(window, self._image, self.config)
         if events is None:
@@ -140,10 +145,13 @@ class LatticeEstimator:
             gain = self._gain(events)
             if stop is None or self._shows_no_motion(events, gain):
                 return self._nothing(window, len(events), Status.NO_MOTION, gain)
-            quality = self._quality(
-                len(events), stop, gain, warm=warm,
-                change_px=self._change.measure(events, fit.flow),
-            )  # fmt: skip
+            change_px = self._change.measure(events, fit.flow)
+            part = window.latest(self._change.steady(change_px, fit.flow, len(window.events)))
+            if part is not window and warm and not whole and window.gyro is None:
+                return self._estimate(part, None, whole=True)
+            quality = Quality(
+                len(events), self._iterations, stop, gain, warm=warm, change_px=change_px
+            )
             result = self._result(window, quality)
         except np.linalg.LinAlgError:
             return self._nothing(window, len(events), Status.DIVERGED)
@@ -282,9 +290,6 @@ class LatticeEstimator:
             self._gyro.status,
         )  # fmt: skip
 
-    def _quality(self, used: int, stop: str, gain: float, **further: Any) -> Quality:
-        return Quality(used, self._iterations, stop, gain, **further)
-
     def _nothing(
         self, window: Window, used: int, status: Status, gain: float = float("nan")
     ) -> Estimate:
@@ -292,7 +297,7 @@ class LatticeEstimator:
         self.reset()
         if status is not Status.DIVERGED:
             self._gyro.learn_at_rest()
-        quality = self._quality(used, str(status), gain)
+        quality = Quality(used, self._iterations, str(status), gain)
         middle = (window.t_start + window.t_end) // 2
         return Estimate(
             window.t_start, window.t_end, middle, status, quality, gyro=self._gyro.status

@@ -83,6 +83,7 @@ class MotionWindows:
             self._count = None
             self._failures += 1
             return estimate
+        part = part.since(estimate.t_start)
         self._failures = 0
         self._start = part.t_start
         self._count = self._next_count(estimate.flow, estimate.quality.change_px, part)
@@ -149,6 +150,24 @@ class MotionChange:
             flow: (columns, rows, times, 2) px per window.
         """
         return max(self._shift(events, flow, begin) for begin in (0.0, 1 - _THIRD))
+
+    def steady(self, change_px: float, flow: F32, count: int) -> int:
+        """How many of a window's events, the latest ones, show a motion that a fit can follow.
+
+        The change grows with the square of the time. A short way, or few events, tell less of the
+        motion than a fit that does not follow all of it.
+
+        Args:
+            change_px: of the window.
+            flow: (columns, rows, times, 2) px per window.
+            count: of the window's events.
+        """
+        if change_px <= LATTICE.unsteady_px:
+            return count
+        way = float(np.median(np.linalg.norm(flow.mean(axis=2), axis=-1)))
+        share = (LATTICE.steady_px / change_px) ** 0.5
+        share = max(share, LATTICE.shortest_way_px / max(_STILL_PX, way))
+        return min(count, max(round(share * count), LATTICE.third_events))
 
     def _shift(self, events: WindowEvents, flow: F32, begin: float) -> float:
         part = events.between(begin, begin + _THIRD)

@@ -67,6 +67,9 @@ class LatticeSettings:
             Usually the camera hardly moves then, and whole windows show best when it begins to; but
             it may also be too fast for them.
         change_px: largest displacement off the fit within a part, px of the working image.
+        unsteady_px, steady_px: such a displacement from which a part is fitted again, shortened to
+            that, px of the working image.
+        shortest_way_px: but to no less way of half of the image, px of the working image.
         few_events, third_events: number of events of a third of a window that tell something of it,
             and that are enough.
         refining_steps: of the second fit, at full resolution.
@@ -130,6 +133,9 @@ class LatticeSettings:
     fast: float = 0.9
     first_shares: tuple[float, ...] = (1.0, 0.25, 1.0, 0.06)
     change_px: float = 2.0
+    unsteady_px: float = 1.5
+    steady_px: float = 1.0
+    shortest_way_px: float = 6.0
     few_events: int = 300
     third_events: int = 3_000
     refining_steps: int = 2

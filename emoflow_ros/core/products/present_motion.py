@@ -99,7 +99,8 @@ class PresentMotion:
         free = 6 if scene.translates else 3
         fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
         rest = (window.t_end - middle) / NS_PER_S
-        unforeseen = _goes_on(change[:3] - scene.predicted_change(middle), since, rest)
+        surprise = change[:3] - scene.predicted_change(middle)
+        unforeseen = _goes_on(surprise, since, rest, scene.drift[0])
         of_w = PRESENT.of_window * scene.covariance[:3, :3] + PRESENT.of_fit * covariance[:3, :3]
         if fitted:  # the slice shows the change alone; what the window took for the motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
@@ -186,16 +187,17 @@ class PresentMotion:
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
 
-def _goes_on(surprise: Array, since: float, rest: float) -> Array:
+def _goes_on(surprise: Array, since: float, rest: float, drift: float) -> Array:
     """Covariance (3, 3) of a random walk that goes on: a camera that shakes does, a calm one stays.
 
     Args:
         surprise: (3,) by how much w has changed otherwise than expected.
         since: time in which it has, s.
         rest: time for which nothing is known, s.
+        drift: variance of w's change per s that windows have shown, (rad/s)^2/s.
     """
     rate = float(surprise @ surprise) / 3 / max(since, PRESENT.least_since_s)
-    return rate * rest * np.eye(3)
+    return (rate + PRESENT.of_drift * drift) * rest * np.eye(3)
 
 
 def _is_frozen(window: Window) -> bool:

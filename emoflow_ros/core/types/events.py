@@ -114,6 +114,14 @@ class Window:
         events = self.events[int(np.searchsorted(self.events.t, t)) :]
         return replace(self, t_start=t, events=events)
 
+    def latest(self, count: int) -> "Window":
+        """Return the part since the count-th event from the end, the window itself if it has less.
+
+        Args:
+            count: at least 1.
+        """
+        return self if count >= len(self.events) else self.since(int(self.events.t[-count]))
+
     def until(self, t: int) -> "Window":
         """Return the part before time t (ns)."""
         events = self.events[: int(np.searchsorted(self.events.t, t))]

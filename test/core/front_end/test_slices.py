@@ -82,13 +82,20 @@ def stream(seconds: float = 0.3) -> Events:
 
 
 @pytest.mark.parametrize(
-    ("speed", "number", "length_ms"),
-    [(400.0, 2, 33.75), (100.0, 2, 33.75), (50.0, 1, 80.0), (10.0, 1, 100.0)],
+    ("speed", "most", "number", "length_ms"),
+    [
+        (400.0, 2, 2, 33.75),
+        (400.0, 4, 4, 16.875),
+        (100.0, 2, 2, 33.75),
+        (100.0, 4, 2, 33.75),
+        (50.0, 2, 1, 80.0),
+        (10.0, 2, 1, 100.0),
+    ],
 )
-def test_slices_are_as_long_as_the_motion_takes_for_some_pixels(speed, number, length_ms):
+def test_slices_are_as_long_as_the_motion_takes_for_some_pixels(speed, most, number, length_ms):
     since, until = 200 * NS_PER_MS, 267_500_000
-    settings = FrontEndSettings()
-    made = list(slices(stream(), since, until, constant_flow(speed), np.ones(2), settings))
+    flow, settings = constant_flow(speed), FrontEndSettings()
+    made = list(slices(stream(), since, until, flow, np.ones(2), most, settings))
     assert len(made) == number
     ends = [round(s.t + 1e9 * max(0.0, -float(s.dt.min()))) for s in made]
     assert ends[-1] == pytest.approx(until, abs=20_000)
@@ -98,7 +105,9 @@ def test_slices_are_as_long_as_the_motion_takes_for_some_pixels(speed, number, l
 
 def test_a_slice_before_the_first_event_is_left_out():
     made = list(
-        slices(stream(), -200 * NS_PER_MS, 0, constant_flow(100.0), np.ones(2), FrontEndSettings())
+        slices(
+            stream(), -200 * NS_PER_MS, 0, constant_flow(100.0), np.ones(2), 2, FrontEndSettings()
+        )
     )
     assert made == []
 
@@ -106,7 +115,7 @@ def test_a_slice_before_the_first_event_is_left_out():
 def test_large_slices_are_thinned_evenly():
     settings = FrontEndSettings(most_events=500)
     (made,) = slices(
-        stream(), 200 * NS_PER_MS, 267_500_000, constant_flow(50.0), np.ones(2), settings
+        stream(), 200 * NS_PER_MS, 267_500_000, constant_flow(50.0), np.ones(2), 2, settings
     )
     assert len(made.x) == 500
     assert np.diff(np.sort(made.dt)).max() < 2e-3
