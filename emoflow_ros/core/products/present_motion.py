@@ -101,7 +101,7 @@ class PresentMotion:
         rest = (window.t_end - middle) / NS_PER_S
         surprise = change[:3] - scene.predicted_change(middle)
         unforeseen = _goes_on(surprise, since, rest, scene.drift[0])
-        of_w = PRESENT.of_window * scene.covariance[:3, :3] + PRESENT.of_fit * covariance[:3, :3]
+        of_w = scene.covariance[:3, :3] + PRESENT.of_fit * covariance[:3, :3]
         if fitted:  # the slice shows the change alone; what the window took for the motion stays
             covariance[:free, :free] += scene.covariance[:free, :free]
         at_end = scene.change_by_gyro(gyro, window.t_end)

@@ -90,9 +90,9 @@ class PresentSettings:
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
         of_walk: variance of w's change over that of the random walk that windows have shown.
-        of_window, of_fit: the covariance of w now is that of the window's w and that of its change
-            by the slice, times these, and that of a random walk from the slice's middle on.
-        of_drift: rate of that walk at least, over the drift that windows have shown.
+        of_fit: the covariance of w now is that of the window's w, that of its change by the slice,
+            times this, and that of a random walk from the slice's middle on.
+        of_drift: what the rate of that walk has at least, over the drift that windows have shown.
         least_since_s: time at least in which a change that was not expected came about, s: the walk
             is as fast.
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
@@ -111,8 +111,7 @@ class PresentSettings:
     steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
     of_walk: float = 8.0
-    of_window: float = 0.8
-    of_fit: float = 0.1
+    of_fit: float = 0.2
     of_drift: float = 0.02
     least_since_s: float = 0.02
     newest_ns: int = 20_000_000
