@@ -15,6 +15,7 @@ from benchmarks.scoreboard.gates import (
 
 SUBJECTS = gate_subjects()
 # Missed since the memory begins with the first window: v 3.1 (1.9) degrees, NEES of w 0.84 (0.22).
+# Their recorded figures stay.
 MISSED = {"random/0012": ("v_median", "nees_w")}
 
 
@@ -24,6 +25,8 @@ def test_accuracy_is_as_recorded(subject):
         pytest.skip(f"no {subject.missing}")
     found = failures(measure(subject), recorded()[subject.name])
     assert [line for line in found if not line.startswith(MISSED.get(subject.name, ()))] == []
+    if found:
+        pytest.xfail("; ".join(found))
 
 
 def test_every_recording_has_figures_of_a_date_and_version():

@@ -92,7 +92,7 @@ class PresentSettings:
         of_walk: variance of w's change over that of the random walk that windows have shown.
         of_fit: the covariance of w now is that of the window's w, that of its change by the slice,
             times this, and that of a random walk from the slice's middle on.
-        of_drift: what the rate of that walk has at least, over the drift that windows have shown.
+        of_drift: part of the drift that windows have shown in the rate of that walk.
         least_since_s: time at least in which a change that was not expected came about, s: the walk
             is as fast.
         newest_ns: the newest part of the events, which first shows that the camera stops, ns.
