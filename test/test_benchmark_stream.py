@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks._stream_figures import Heard, Stream, figures, intervals, longest_silence, rows
+from benchmarks._stream_figures import (
+    Heard,
+    Stream,
+    errors,
+    figures,
+    intervals,
+    longest_silence,
+    rows,
+)
 from benchmarks.stream import parse_seeds
 from emoflow_ros.errors import InputError
 
@@ -50,6 +58,14 @@ def test_figures_of_recordings_and_their_targets() -> None:
     assert by_name["recordings with a NEES of w of 0.5 to 2, now, %"].result == 50
     assert by_name["recordings with a NEES of w of 0.5 to 2, windows, %"].verdict == "met"
     assert by_name["3-sigma misses of w, now, %"].result == 50
+    assert by_name["the same by axis, now, %"].result == pytest.approx(100 / 6)  # x of every second
+
+
+def test_an_error_may_exceed_its_deviation_along_no_axis() -> None:
+    two = Heard([0.5, 0.6], [np.full(3, 0.29), np.array([0.0, 0.0, 0.31])], [0.01 * np.eye(3)] * 2)
+    _, missed, by_axis = errors(two, lambda t: np.zeros(3))
+    assert missed.tolist() == [True, True]
+    assert by_axis.tolist() == [[False, False, False], [False, False, True]]
 
 
 def test_a_recording_without_a_twist_is_not_left_out() -> None:

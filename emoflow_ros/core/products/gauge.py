@@ -159,10 +159,12 @@ def _count(
     side: int, number: Array,
 ) -> float:  # fmt: skip
     """Add weights of events to their blocks (rows, columns); return the sum of the squares."""
+    rows, columns = number.shape
+    block = np.arange((max(rows, columns) + 1) * side) // side  # to divide is slow
     squares = 0.0
     for k in range(len(x)):
-        i, j = y[k] // side, x[k] // side
-        if i < number.shape[0] and j < number.shape[1]:
+        if y[k] < rows * side and x[k] < columns * side:
+            i, j = block[y[k]], block[x[k]]
             weight = 1.0 if one_each else float(weights[k])
             number[i, j] += weight
             squares += weight * weight

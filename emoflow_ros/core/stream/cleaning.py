@@ -71,7 +71,7 @@ def without_hot_pixels(events: Events, width: int, height: int) -> Events:
         width, height: of the sensor in pixels.
     """
     hot = _hot(events.x, events.y, width, height)
-    return events[~hot[events.y, events.x]] if hot.any() else events
+    return events[_cool(events.x, events.y, hot)] if hot.any() else events
 
 
 @njit(nogil=True)
@@ -90,6 +90,17 @@ def _hot(
                 around = count[i : i + 3, j : j + 3].sum() - own
                 hot[i, j] = own > _FEWEST_HOT + _SHARE_OF_NEIGHBOURS * around
     return hot
+
+
+@njit(nogil=True)
+def _cool(
+    x: NDArray[np.uint16], y: NDArray[np.uint16], hot: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Mask (N,) of the events that are not of hot pixels (height, width)."""
+    cool = np.empty(len(x), np.bool_)
+    for k in range(len(x)):
+        cool[k] = not hot[y[k], x[k]]
+    return cool
 
 
 def without_flicker(events: Events, width: int, height: int) -> Events:
