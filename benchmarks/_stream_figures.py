@@ -79,8 +79,8 @@ def longest_silence(times: Sequence[float], duration_s: float) -> float:
 def errors(heard: Heard, truth: Callable[[float], Array]) -> tuple[Array, Array, Array]:
     """Return the NEES of w (N,), and which errors exceed 3 standard deviations.
 
-    Along their own direction (N,), where 2.9 % of a normal error with that covariance do (chi
-    squared, 3 degrees of freedom), and along each axis (N, 3), where 0.3 % do.
+    Of normal errors with that covariance 0.3 % do along each axis (N, 3), but along their own
+    direction (N,) up to 2.9 %: so many if it is the same in all directions (chi squared).
     """
     if not heard.times:
         return np.empty(0), np.empty(0, bool), np.empty((0, 3), bool)
@@ -132,17 +132,22 @@ def rows(recordings: Sequence[dict[str, Any]]) -> list[Row]:
         Row("longest silence, s", silence if math.isfinite(silence) else None, at_most=0.5),
     ]
     for name in ("now", "windows"):
-        nees = [r[name]["nees"] for r in recordings if r[name]["nees"] is not None]
-        twists = sum(r[name]["twists"] for r in recordings)
-
-        def wrong(figure: str, name: str = name, twists: int = twists) -> float | None:
-            missed = sum(r[name]["twists"] * (r[name][figure] or 0.0) for r in recordings)
-            return missed / twists if twists else None
-
+        heard = [r[name] for r in recordings]
+        nees = [topic["nees"] for topic in heard if topic["nees"] is not None]
         right = 100.0 * float(np.mean([NEES[0] <= n <= NEES[1] for n in nees])) if nees else None
+        missed, by_axis = (
+            _over_twists(heard, figure) for figure in ("missed_percent", "missed_by_axis_percent")
+        )
         found += [
             Row(f"recordings with a NEES of w of 0.5 to 2, {name}, %", right, at_least=80.0),
-            Row(f"3-sigma misses of w, {name}, %", wrong("missed_percent"), at_most=1.0),
-            Row(f"the same by axis, {name}, %", wrong("missed_by_axis_percent"), at_most=1.0),
+            Row(f"3-sigma misses of w, {name}, %", missed, at_most=1.0),
+            Row(f"the same by axis, {name}, %", by_axis, at_most=1.0),
         ]
     return found
+
+
+def _over_twists(heard: Sequence[dict[str, Any]], figure: str) -> float | None:
+    """Mean of a figure of recordings over all of their twists; None without any."""
+    twists = sum(topic["twists"] for topic in heard)
+    total = sum(topic["twists"] * (topic[figure] or 0.0) for topic in heard)
+    return total / twists if twists else None
