@@ -88,8 +88,8 @@ def align(
     total = np.float32(0)
     for i in range(side):
         for j in range(side):
-            squared = (i - radius) ** 2 + (j - radius) ** 2
-            weights[i, j] = np.float32(math.exp(-squared / (2 * (0.6 * radius) ** 2)))
+            squared = (i - radius) * (i - radius) + (j - radius) * (j - radius)
+            weights[i, j] = np.float32(math.exp(-squared / (0.72 * radius * radius)))
             total += weights[i, j]
     now, slope_x, slope_y, weighted, by_x, by_y = np.empty((6, side, side), np.float32)
     for n in range(len(templates)):
@@ -178,7 +178,8 @@ def _axes(p: float, q: float, r: float, chance: float) -> tuple[float, float, fl
         The larger value; the smaller one less a share of the larger one, which may be chance; the
         share of it that is left; and the unit vector (x, y) of the larger one, across an edge.
     """
-    mean, apart = 0.5 * (p + r), math.sqrt((0.5 * (p - r)) ** 2 + q * q)
+    mean, half = 0.5 * (p + r), 0.5 * (p - r)
+    apart = math.sqrt(half * half + q * q)
     high, low = max(mean + apart, 0.0), mean - apart
     left = max(low - chance * high, 0.0)
     angle = 0.5 * math.atan2(2 * q, p - r)

@@ -147,7 +147,7 @@ def add_structure(
             line = a[n, d, 0] * heading[0] + a[n, d, 1] * heading[1] + a[n, d, 2] * heading[2]
             squared += line * line
         variance = squared / information[n]
-        inlier = np.sqrt(9 * variance + _STRUCTURE_INLIER_PX**2)
+        inlier = np.sqrt(9 * variance + _STRUCTURE_INLIER_PX * _STRUCTURE_INLIER_PX)
         for t in range(times):
             weight[n, t] = share / variance * _robust_weight(r[n, t], inlier)
     add_rows(by_flow, by_motion, weight, r, vector, band, border, corner, corner_vector)

@@ -80,21 +80,21 @@ def best_rotations(
             for n in range(nodes):
                 r = side[n] - across[0, n] * w0 - across[1, n] * w1 - across[2, n] * w2
                 q = length[n] - along[0, n] * w0 - along[1, n] * w1 - along[2, n] * w2
-                inverse = 1 / (1 + (r / inlier) ** 2)
+                inverse = 1 / (1 + r * r / (inlier * inlier))
                 weight[n] = inverse * inverse
-                moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX**2)
+                moved += weight[n] * of_length[n] * (q * q + _LEAST_FLOW_PX * _LEAST_FLOW_PX)
                 reach += weight[n] * of_length[n] * squared[n]
             share, scale = depths, moved / reach
             if depths > 0:
-                least = (_LEAST_FLOW_PX / px_per_rad) ** 2
-                shrinking = 1 / (w0 * w0 + w1 * w1 + w2 * w2 + least)
+                least = _LEAST_FLOW_PX / px_per_rad
+                shrinking = 1 / (w0 * w0 + w1 * w1 + w2 * w2 + least * least)
         ahead, behind, sizes = 0.0, 0.0, 0.0
         for n in range(nodes):
             r, q = side[n], length[n]
             for j in range(3):
                 r -= across[j, n] * w[m, j]
                 q -= along[j, n] * w[m, j]
-            beside = of_side[n] * r * r / (1 + (r / inlier) ** 2)
+            beside = of_side[n] * r * r / (1 + r * r / (inlier * inlier))
             lx, ly = line[m, n, 0] / np.sqrt(squared[n]), line[m, n, 1] / np.sqrt(squared[n])
             whole = _robust(lx * q - ly * r, ly * q + lx * r, evidence[n], inlier)
             ahead += beside if q > 0 else whole
@@ -144,7 +144,8 @@ def _solve(matrix: F64, vector: F64) -> tuple[float, float, float]:
 @_compiled
 def size_of_rotation(w: F64, px_per_rad: float) -> float:
     """Logarithm of the square of the flow, px, that a rotation w (3,) makes."""
-    return float(np.log((w @ w) * px_per_rad**2 + _LEAST_FLOW_PX**2))
+    rotation, least = (w @ w) * px_per_rad * px_per_rad, _LEAST_FLOW_PX * _LEAST_FLOW_PX
+    return float(np.log(rotation + least))
 
 
 def best_rotation(
@@ -207,7 +208,7 @@ def _surprise(apart: F64, information: F64) -> float:
 @_compiled
 def _robust(x: float, y: float, evidence: F64, inlier: float) -> float:
     """Geman-McClure cost of a residual (x, y) in px per window."""
-    return _square(x, y, evidence) / (1 + (x * x + y * y) / inlier**2)
+    return _square(x, y, evidence) / (1 + (x * x + y * y) / (inlier * inlier))
 
 
 @_compiled

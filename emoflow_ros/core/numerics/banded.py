@@ -85,7 +85,8 @@ def _eliminate(band: F64, right: F64) -> bool:
                 next_one[i] -= e * a1 + f * b1 + g * c1 + h * d1
         if below % 2 == 1:
             for q in range(_FEW):
-                band[end + below - 1, 0] -= few[q, below - 1] ** 2
+                last = few[q, below - 1]
+                band[end + below - 1, 0] -= last * last
         for m in range(len(right)):
             for j in range(begin, end):
                 solved = right[m, j] * inverse[j - begin]
