@@ -77,7 +77,7 @@ def longest_silence(times: Sequence[float], duration_s: float) -> float:
 
 
 def errors(heard: Heard, truth: Callable[[float], Array]) -> tuple[Array, Array, Array]:
-    """Return the NEES of w (N,), and which errors exceed 3 standard deviations.
+    """Return the NEES of w (N,), NaN for errors of exactly zero, and which exceed 3 deviations.
 
     Of normal errors with that covariance 0.3 % do along each axis (N, 3), but along their own
     direction (N,) up to 2.9 %: so many if it is the same in all directions (chi squared).
@@ -104,10 +104,10 @@ def figures(
     }
     for name, heard in (("now", stream.now), ("windows", stream.windows)):
         nees, missed, by_axis = errors(heard, truth)
-        known = len(nees) > 0
+        known, some = len(nees) > 0, nees[np.isfinite(nees)]
         found[name] = {
             "twists": len(nees),
-            "nees": float(nees.mean()) if known else None,
+            "nees": float(some.mean()) if len(some) else None,
             "missed_percent": 100.0 * float(missed.mean()) if known else None,
             "missed_by_axis_percent": 100.0 * float(by_axis.mean()) if known else None,
         }

@@ -90,9 +90,7 @@ os.environ["ROS_DOMAIN_ID"] = str(_free_domain())
 def pytest_xdist_setupnodes() -> None:
     """Compile the estimator in one process, beside the tests that need nothing of it.
 
-    Where two of them compile, each a part of the kernels, what they compute may differ in the last
-    digits (see contrast._load_kernels). Tests hold one process against another bit by bit. A lock
-    is held for as long as it runs.
+    Else each of pytest's processes would compile it. A lock is held for as long as it runs.
     """
     folder = tempfile.TemporaryDirectory(prefix="emoflow_ros_tests_")
     os.environ[FIRST_PROCESS] = folder.name

@@ -17,10 +17,12 @@ def normalised_squares(errors: Array, covariances: Array) -> Array:
         covariances: (N, D, D).
 
     Returns:
-        (N,), 1 on average for a covariance that is right; NaN where an input is.
+        (N,), 1 on average for a covariance that is right; NaN where an input is, and for an error
+        of exactly zero: no covariance is right for a simulated camera at rest that is told so.
     """
     dimensions = errors.shape[-1]
     known = np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1))
+    known &= (errors != 0).any(axis=-1)
     squares = np.full(len(errors), np.nan)
     some = covariances[known] + VARIANCE_FLOOR * np.eye(dimensions)
     solved = np.linalg.solve(some, errors[known][..., None])[..., 0]

@@ -261,7 +261,7 @@ class Odometry:
         if rotated is not None and rotated.cost - found.cost < back.rotation_cost * len(some):
             found = rotated
         hypotheses = Hypotheses.weighed(found, others, back)
-        changes = without_quarters(problem, found, known, back)
+        changes = without_quarters(problem, found, back)
         found = found.of_unit_depth()
         try:
             walks = state.walks.learnt(found, known.seconds, back)

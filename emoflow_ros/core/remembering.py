@@ -6,12 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.back_end.consistency import (
-    Experience,
-    angular_factor,
-    direction_variance,
-    variance_by_gyro,
-)
+from emoflow_ros.core.back_end.consistency import Experience
 from emoflow_ros.core.back_end.known_depths import known_depths
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import AdjustedMotion, MotionAt, interpolated
@@ -25,6 +20,7 @@ from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import Depths, ShownFlow
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
+from emoflow_ros.core.told_motion import ToldMotion, across
 from emoflow_ros.core.types.estimate import (
     REMEMBERED,
     Estimate,
@@ -34,7 +30,7 @@ from emoflow_ros.core.types.estimate import (
     Status,
     velocity_at,
 )
-from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S, Window
+from emoflow_ros.core.types.events import NS_PER_MS, Window
 from emoflow_ros.core.types.gyro import GyroState
 from emoflow_ros.core.window_evidence import (
     expected_by_memory,
@@ -141,7 +137,7 @@ class RememberingEstimator:
         if motion is None:
             return memory, self._first(found)
         memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
-        return self._read(window, found, memory, motion)
+        return self._read(window, found, memory)
 
     def nothing(self) -> Memory:
         """A memory of nothing."""
@@ -208,44 +204,19 @@ class RememberingEstimator:
         velocity = velocity_at(flow, self._grid, t) / self.image.sensor_px
         return velocity.reshape(*self._odometry.grid.a.shape[:2], 2).astype(np.float32)
 
-    def _read(
-        self, window: Window, found: Estimate, memory: Memory, motion: MotionAt
-    ) -> tuple[Memory, Estimate]:
-        """Put the motion by positions into an estimate; a gyro's angular velocity stays."""
-        state, experience, back = memory.odometry, memory.experience, self._odometry.back
-        adjusted, hypotheses = state.adjusted, state.hypotheses
-        assert adjusted is not None and hypotheses is not None
-        spread, spread_of_direction = state.spread(found.t)
-        cost, seconds = adjusted.mean_cost(back), window.duration
-        if found.quality.warm:  # else what is short was tried, not measured
-            seconds = (found.t_end - found.t_start) / NS_PER_S
+    def _read(self, window: Window, found: Estimate, memory: Memory) -> tuple[Memory, Estimate]:
+        """Put the motion by positions into an estimate, and fit its flow again with it."""
+        state = memory.odometry
+        assert state.hypotheses is not None
         kept = state.patches.kept(self._front.patience)
-        by_gyro = found.gyro.state is GyroState.USED
-        covariance = np.zeros((6, 6))
-        if by_gyro:
-            angular, covariance[3:, 3:] = found.angular, found.covariance[3:, 3:]
-        else:
-            factor = angular_factor(experience, kept, seconds, back.errors)
-            if found.flow is not None:  # else the lattice measures nothing
-                # Of two that are as good, each has half the variance of their difference.
-                spread = spread + 0.5 * np.outer(experience.away, experience.away)
-            angular, covariance[3:, 3:] = motion.angular, factor * motion.covariance + spread
-        speed, model = float(np.linalg.norm(motion.linear)), MotionModel.ROTATION
-        linear, variance = np.zeros(3), direction_variance(experience, kept, cost, back.errors)
-        if by_gyro:
-            variance += variance_by_gyro(covariance[3:, 3:], speed, back.errors)
-        if adjusted.translates and speed > 0:
-            direction = motion.linear / speed
-            of_direction = variance * (np.eye(3) - np.outer(direction, direction))
-            of_direction += spread_of_direction
-            if np.linalg.eigvalsh(of_direction)[-1] < np.radians(back.widest_direction_deg) ** 2:
-                linear, model = direction, MotionModel.FULL
-                covariance[:3, :3] = of_direction
-        if model is MotionModel.ROTATION:
-            covariance = without_translation(covariance)
-        gyro = found.motion if by_gyro else None
-        translates = model is MotionModel.FULL
-        told = AdjustedMotion(state.t, hypotheses.mean, translates, found.motion, gyro)
+        told = ToldMotion.of(window, found, state, memory.experience, kept, self._odometry.back)
+        motion = AdjustedMotion(
+            state.t,
+            state.hypotheses.mean,
+            told.model is MotionModel.FULL,
+            found.motion,
+            found.motion if found.gyro.state is GyroState.USED else None,
+        )
         quality = found.quality
         if found.flow is None:
             quality = replace(quality, stop_reason=REMEMBERED)
@@ -253,16 +224,16 @@ class RememberingEstimator:
             found,
             status=Status.OK,
             quality=quality,
-            model=model,
-            linear=linear,
-            angular=angular,
-            covariance=covariance,
-            motion=told,
+            model=told.model,
+            linear=told.linear,
+            angular=told.angular,
+            covariance=told.covariance,
+            motion=motion,
             angular_walk=state.walks.angular,
         )
-        flow, shown = self._refined(estimate, told, memory, variance)
+        flow, shown = self._refined(estimate, motion, memory, told.variance)
         if isinstance(flow, LatticeFlow):
-            flow = self._bent(flow, told)
+            flow = self._bent(flow, motion)
         if shown is not None:
             memory = replace(memory, shown=(*memory.shown, shown)[-_MOST_SHOWN:])
         return memory, replace(estimate, flow=flow)
@@ -292,7 +263,7 @@ class RememberingEstimator:
         speed = float(np.linalg.norm(velocity))
         if state.adjusted.translates and speed > 0:
             model, direction = MotionModel.FULL, velocity / speed
-            covariance[:3, :3] = variance * (np.eye(3) - np.outer(direction, direction))
+            covariance[:3, :3] = across(direction, variance)
         translates = model is MotionModel.FULL
         motion = replace(told, x=way, translates=translates, by_gyro=None)
         likeliest = replace(

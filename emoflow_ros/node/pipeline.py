@@ -62,14 +62,9 @@ class Pipeline:
     """
 
     def __init__(
-        self,
-        node: LifecycleNode,
-        settings: Settings,
-        *,
-        factory: str,
-        wake: Callable[[], None],
-        made: ExitStack,
-    ) -> None:
+        self, node: LifecycleNode, settings: Settings, *,
+        factory: str, wake: Callable[[], None], made: ExitStack,
+    ) -> None:  # fmt: skip
         options = settings.node
         if settings.config.method != "lattice":
             require_torch(settings.config)  # else every worker would fail in the same way
@@ -227,13 +222,9 @@ class Pipeline:
             self.statistics.set_problem("busy", Level.WARN, hangs)
         if self.imu is not None and self._input is not None:
             self.imu.report()
-        window = self._settings.config.window
-        between_s = (window.duration_ns + window.stride_ns) / NS_PER_S
-        return self.statistics.report(
-            self._settings.node.input.silence_s,
-            self._supervisor.pid,
-            twist_s=max(_TWIST_S, between_s),
-        )
+        window, silence_s = self._settings.config.window, self._settings.node.input.silence_s
+        twist_s = max(_TWIST_S, (window.duration_ns + window.stride_ns) / NS_PER_S)
+        return self.statistics.report(silence_s, self._supervisor.pid, twist_s=twist_s)
 
     def _hand_on(self, tasks: list[Task]) -> None:
         """Put tasks into the worker's queues, or let windows wait for a calibration."""

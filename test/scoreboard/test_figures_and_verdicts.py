@@ -90,6 +90,19 @@ def test_a_covariance_of_zero_is_many_sigmas_and_no_failure():
     assert normalised_squares(np.full((1, 3), 0.01), np.zeros((1, 3, 3)))[0] > 1e3
 
 
+def test_an_error_of_exactly_zero_has_no_nees():
+    errors = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    squares = normalised_squares(errors, np.broadcast_to(0.01 * np.eye(3), (2, 3, 3)))
+    assert np.isnan(squares[0])
+    assert squares[1] == pytest.approx(1 / 3)
+
+
+def test_a_camera_at_rest_that_is_told_so_is_consistent():
+    found = figures(row(angular=np.zeros(3), true_angular=np.zeros(3), moved_px=0.0))
+    assert math.isnan(found.nees_w)
+    assert judge(found).criteria["nees"] is not False
+
+
 def test_direction_errors_need_both_directions():
     linear = np.array([[0, 0, 1.0], [NAN] * 3, [0, 0, 1.0]])
     true = np.array([[1.0, 0, 0], [0, 0, 1.0], [NAN] * 3])

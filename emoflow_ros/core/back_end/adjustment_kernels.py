@@ -16,7 +16,6 @@ POSE = 6  # the first of them, which observations depend on
 _DEPTHS = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)  # inverse, over the mean one
 _NEAREST = 1e-3  # least depth over that of the anchor
 
-# Without fastmath: sums are the same in every copy of a function (core.lattice.contrast).
 _compiled = njit(nogil=True)
 
 

@@ -25,7 +25,6 @@ _LEAST_GAIN = 1e-4  # share of the cost by which a step that goes on must lower 
 _REGULAR = 1e-9  # added to the diagonal
 _AT_ONE_PLACE = 6  # unknowns of a node at most without its position and velocity
 
-# Without fastmath: sums are the same in every copy of a function (core.lattice.contrast).
 _compiled = njit(nogil=True)
 
 
@@ -90,6 +89,20 @@ def linearised(
     share, share_right = _linearise(o, x, prior, outlier, e)
     _take(e.matrix, e.right, share, share_right, 1.0)
     return squares, _chosen(e.matrix, free), e.own
+
+
+@_compiled
+def information(o: Observations, x: Unknowns, outlier: float, free: Index) -> tuple[Array, Array]:
+    """Normal equations (U, U), (U,) of the free unknowns by observations alone, depths taken out.
+
+    Arguments as of `descend`.
+    """
+    e = _equations(o, x)
+    e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    observe(o, x, outlier, e)
+    share, share_right = share_of_depths(e)
+    _take(e.matrix, e.right, share, share_right, 1.0)
+    return _chosen(e.matrix, free), e.right[free]
 
 
 @_compiled

@@ -6,54 +6,49 @@ without a quarter of the patches do (Tukey, Annals of Mathematical Statistics 29
 Künsch, Annals of Statistics 17, 1989).
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
-from emoflow_ros.core.back_end.adjustment import Adjusted, free_unknowns
-from emoflow_ros.core.back_end.adjustment_kernels import Observations
-from emoflow_ros.core.back_end.descent import descend
-from emoflow_ros.core.back_end.prior_kernels import Prior
+from emoflow_ros.core.back_end.adjustment import Adjusted
+from emoflow_ros.core.back_end.adjustment_kernels import NODE, POSE, Observations
+from emoflow_ros.core.back_end.descent import information
 from emoflow_ros.core.back_end.settings import BackEndSettings
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _QUARTERS = 4
-_STEPS = 2  # the start is nearly the minimum
 
 
-def without_quarters(
-    problem: Observations, found: Adjusted, prior: Prior, settings: BackEndSettings
-) -> Array:
+def without_quarters(problem: Observations, found: Adjusted, settings: BackEndSettings) -> Array:
     """Change of the angular velocities (K, 4, 3), rad/s, if a quarter of the patches is left out.
 
-    It is zero for a quarter without which there is no minimum.
+    One step of Newton's tells it: the equations of all, and what remains of their slope, which is
+    zero at the minimum, are those of the others once a quarter's are taken off. It is zero for a
+    quarter without which there is no minimum.
 
     Args:
         problem: the places of all.
         found: adjusted to them.
-        prior: of the motion.
         settings: of the back end.
     """
-    quarter = quarters(problem.bearing)[problem.patch]
-    free = free_unknowns(len(found.x.position), translates=found.translates)
-
-    def change(left_out: int) -> Array:
-        kept = quarter != left_out
-        others = problem._replace(
-            patch=problem.patch[kept], node=problem.node[kept], seen=problem.seen[kept],
-            root=problem.root[kept],
+    quarter, nodes = quarters(problem.bearing)[problem.patch], len(found.x.position)
+    changes = np.zeros((nodes, _QUARTERS, 3))
+    for part in range(_QUARTERS):
+        own = quarter == part
+        some = problem._replace(
+            patch=problem.patch[own], node=problem.node[own], seen=problem.seen[own],
+            root=problem.root[own],
         )  # fmt: skip
-        try:
-            x, _ = descend(others, found.x, prior, settings.outlier, _STEPS, free, settings.depths)
-        except np.linalg.LinAlgError:
-            return np.zeros_like(found.x.angular)
-        return x.angular - found.x.angular
-
-    with ThreadPoolExecutor(2) as workers:
-        return np.stack(list(workers.map(change, range(_QUARTERS))), axis=1)
+        matrix, slope = information(some, found.x, settings.outlier, found.free)
+        step = np.zeros(nodes * NODE)
+        with suppress(np.linalg.LinAlgError):
+            step[found.free] = cho_solve(cho_factor(found.matrix - matrix), -slope)
+        changes[:, part] = step.reshape(nodes, NODE)[:, POSE : POSE + 3]
+    return changes
 
 
 def spread(changes: Array) -> Array:

@@ -11,7 +11,6 @@ from emoflow_ros.core.numerics.jit import njit
 
 Array = NDArray[np.float64]
 
-# Without fastmath: sums are the same in every copy of a function (core.lattice.contrast).
 _compiled = njit(nogil=True)
 
 

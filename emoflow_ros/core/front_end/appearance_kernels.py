@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -13,11 +13,7 @@ Index = NDArray[np.int64]
 
 UNSEEN_PX = 0.2  # that a deformation moves a patch's border by, and need not be drawn
 
-_FAST = {"reassoc", "contract", "arcp", "nsz"}
-_compiled = njit(fastmath=_FAST, nogil=True)
-# Within what calls it: copies by themselves would take sums in another order
-# (core.lattice.contrast).
-_inlined = njit(fastmath=_FAST, nogil=True, inline="always")
+_compiled, _inlined = fast(), fast(inline="always")
 
 
 @_compiled

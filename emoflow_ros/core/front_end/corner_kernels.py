@@ -5,14 +5,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
-_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = fast()
 
 
 def corners(score: F32, taken: F64, distance: int, border: int, least: float, most: int) -> F64:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -14,11 +14,7 @@ F64 = NDArray[np.float64]
 EDGE = 0.15
 INDEPENDENT = 0.25  # share of a patch's residuals that are independent of each other
 
-_FAST = {"reassoc", "contract", "arcp", "nsz"}
-_compiled = njit(fastmath=_FAST, nogil=True)
-# Within what calls it: copies by themselves would take sums in another order
-# (core.lattice.contrast).
-_inlined = njit(fastmath=_FAST, nogil=True, inline="always")
+_compiled, _inlined = fast(), fast(inline="always")
 
 
 @_compiled

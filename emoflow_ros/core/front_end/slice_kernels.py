@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast
 from emoflow_ros.core.numerics.smoothing import Taps, smooth
 
 F32 = NDArray[np.float32]
 
-_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = fast()
 
 
 @_compiled

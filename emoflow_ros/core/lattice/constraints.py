@@ -5,26 +5,18 @@ ought to lie along the epipolar line l = a v of core.geometry.camera_motion, map
 to pixels.
 """
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.normal_equations import add_rows
 from emoflow_ros.core.lattice.settings import LATTICE
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast
 
 F64 = NDArray[np.float64]
 
 _STRUCTURE_INLIER_PX = LATTICE.structure_inlier_px  # numba reads no fields
 
-# Sums may be taken in any order, so that they become vector instructions.
-_compiler = partial(njit, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
-_compiled = _compiler()
-# These become part of each function that calls them. As functions of their own they would come as
-# several copies, and which one is used would depend on what a process loads first (see
-# `contrast._load_kernels`).
-_inlined = _compiler(inline="always")
+_compiled, _inlined = fast(), fast(inline="always")
 
 
 @_inlined

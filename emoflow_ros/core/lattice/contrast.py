@@ -20,7 +20,7 @@ from emoflow_ros.core.lattice.cells import Cells
 from emoflow_ros.core.lattice.field import TIMES, Lattice
 from emoflow_ros.core.lattice.settings import LATTICE
 from emoflow_ros.core.lattice.window_events import PARTS, WindowEvents
-from emoflow_ros.core.numerics.smoothing import outwards, smooth
+from emoflow_ros.core.numerics.smoothing import outwards
 
 _ROUNDING = 1e-6  # a contrast below this share of another one is float32's rounding of zero
 SAMPLING = LATTICE.sampling
@@ -57,10 +57,9 @@ class Contrast:
         self.image = np.zeros((height, width), np.float32)  # of all events, as drawn last
         self._parts = np.zeros((PARTS, height, width), np.float32)
         self._cells = Cells.empty(lattice.columns, lattice.rows)
-        _load_kernels()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Leave the buffers out, with the image that was drawn last, and load the kernels again."""
+        """Leave the buffers out, with the image that was drawn last."""
         return Contrast, (self.lattice, self.scale)
 
     def sharpen(self, events: WindowEvents, flow: F32) -> float:
@@ -94,33 +93,6 @@ class Contrast:
             STIFFNESS_STRIDE, self._parts, *self._cells,
         )  # fmt: skip
         return self._cells
-
-
-@cache
-def _load_kernels() -> None:
-    """Load each kernel by itself, before the functions that call several of them.
-
-    Such a function brings copies of the kernels along, compiled anew, whose sums are taken in
-    another order. Of a kernel a process uses the copy that it has loaded first. So without this
-    a window would not have the same bits in the process that compiles and in those that load.
-    That holds if one process has compiled everything: where two of them compile at once, each may
-    load a part that the other one has compiled, and have other last digits.
-    """
-    lattice = Lattice.with_spacing(16, 16, 8.0)
-    flow, cells = np.zeros(lattice.shape, np.float32), Cells.empty(lattice.columns, lattice.rows)
-    events = WindowEvents(*np.zeros((4, 1), np.float32))
-    here, position = events.on(lattice), np.zeros((2, 1), np.float32)
-    images = np.zeros((PARTS, 16, 16), np.float32)
-    kernels.warp(here, 0.5, flow, lattice.acceleration(flow), position)
-    kernels.shift(events.x, events.y, events.s, flow[0, 0, 0, 0], flow[0, 0, 0, 1])
-    kernels.vote(position, here.weights, here.part, 1.0, images)
-    for taps in (TAPS, np.convolve(TAPS, TAPS)):
-        smooth(images, outwards(taps))
-    kernels.without_own(images)
-    kernels.sum_of_squares(images[:1])
-    drawn = (here, 0.5, position, images, 1.0)
-    derivatives.pull(*drawn, 1.0, cells.gradient)
-    derivatives.stiffen(*drawn, STIFFNESS_STRIDE, 1.0, cells.curvature)
 
 
 def contrast_gain(contrast: Contrast, events: WindowEvents, flow: F32) -> float:

@@ -7,17 +7,20 @@ instructions, reads from the image included.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.lattice.kernels import MARGIN, fast, vote, warp_along, whole, without_own
+from emoflow_ros.core.lattice.kernels import MARGIN, vote, warp_along, without_own
 from emoflow_ros.core.lattice.window_events import PAIRS, CellEvents
+from emoflow_ros.core.numerics.jit import fast
 from emoflow_ros.core.numerics.smoothing import Taps, smooth
 
 F32 = NDArray[np.float32]
+
+_inlined = fast(inline="always")
 
 # Coefficients of 1, f and f^2 in the products of two hats: (1 - f)^2, (1 - f) f and f^2
 _SQUARE = np.array([(1, -2, 1), (0, 1, -1), (0, 0, 1)], np.float32)
 
 
-@whole
+@fast()
 def linearise(
     events: CellEvents, ref: float, flow: F32, per_px: F32, zoom: float, taps: Taps, stride: int,
     images: F32, gradient: F32, curvature: F32,
@@ -40,7 +43,7 @@ def linearise(
     stiffen(events, ref, position, images, zoom, stride, slope * PAIRS, curvature)
 
 
-@fast
+@_inlined
 def pull(
     events: CellEvents,
     ref: float,
@@ -107,7 +110,7 @@ def pull(
             pulls[b >> 3, b & 7] = np.float32(factor) * sums[b]
 
 
-@fast
+@_inlined
 def stiffen(
     events: CellEvents,
     ref: float,
@@ -178,7 +181,7 @@ def stiffen(
         _sum_products(xx[:number], xy[:number], yy[:number], fx, fy, ft, products)
 
 
-@fast
+@_inlined
 def _sum_products(xx: F32, xy: F32, yy: F32, fx: F32, fy: F32, ft: F32, sums: F32) -> None:
     """Sum (xx, xy, yy) times the 27 products of two nodes' weights, into (27, 3)."""
     one, nothing = np.float32(1), np.float32(0)

@@ -120,9 +120,7 @@ class LatticeEstimator:
         self._events = events
         if last is None or not last.reaches(window):
             last = Memory.expected(window, fit, self._image.sensor_px)
-        fit.known = None
-        if measurement is not None:
-            fit.known = KnownRotation.measured(measurement, window.duration)
+        fit.known = KnownRotation.measured(measurement, window.duration) if measurement else None
         warm, coarse = last is not None, fit.contrasts[0.25]
         stop: str | None
         try:
@@ -298,7 +296,5 @@ class LatticeEstimator:
         if status is not Status.DIVERGED:
             self._gyro.learn_at_rest()
         quality = Quality(used, self._iterations, str(status), gain)
-        middle = (window.t_start + window.t_end) // 2
-        return Estimate(
-            window.t_start, window.t_end, middle, status, quality, gyro=self._gyro.status
-        )
+        start, end = window.t_start, window.t_end
+        return Estimate(start, end, (start + end) // 2, status, quality, gyro=self._gyro.status)

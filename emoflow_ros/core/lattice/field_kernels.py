@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast, njit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -103,7 +103,7 @@ def bilinear(grid: F64, points: F64, per_px: F32) -> F64:
     return out
 
 
-@njit(fastmath=True, nogil=True)
+@fast(inline="always")
 def material_derivative(flow: F32, per_px: F32, out: F32) -> None:
     """Differentiate a field along its own motion, du/ds + (u . grad) u, over the whole window.
 

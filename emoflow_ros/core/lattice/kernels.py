@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.field_kernels import material_derivative
 from emoflow_ros.core.lattice.window_events import CellEvents
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast, njit
 from emoflow_ros.core.numerics.smoothing import Taps, smooth
 
 F32 = NDArray[np.float32]
@@ -18,12 +18,10 @@ I32 = NDArray[np.int32]
 
 MARGIN = 7  # image pixels around the sensor, for warped events that leave it
 
-# Sums may be taken in any order, but NaN and infinity stay what they are: outside the image.
-fast = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
-whole = njit(nogil=True)  # for functions that only call such kernels
+_compiled, _inlined = fast(), fast(inline="always")
 
 
-@whole
+@_inlined
 def warp_along(events: CellEvents, ref: float, flow: F32, per_px: F32) -> F32:
     """Warp events to the time `ref` along a flow, (2, N) px.
 
@@ -40,7 +38,7 @@ def warp_along(events: CellEvents, ref: float, flow: F32, per_px: F32) -> F32:
     return position
 
 
-@whole
+@_compiled
 def draw(
     events: CellEvents, ref: float, flow: F32, per_px: F32, zoom: float, taps: Taps, image: F32
 ) -> float:
@@ -58,7 +56,7 @@ def draw(
     return sum_of_squares(image)
 
 
-@whole
+@_compiled
 def draw_shifted(
     x: F32, y: F32, s: F32, weights: F32, flows: F32, zoom: float, taps: Taps, image: F32
 ) -> F32:
@@ -78,7 +76,7 @@ def draw_shifted(
     return squares
 
 
-@fast
+@_inlined
 def sum_of_squares(image: F32) -> float:
     """Add up the squares of an image of any shape."""
     total, values = np.float32(0), image.ravel()
@@ -87,7 +85,7 @@ def sum_of_squares(image: F32) -> float:
     return float(total)
 
 
-@fast
+@_inlined
 def warp(events: CellEvents, ref: float, flow: F32, acceleration: F32, out: F32) -> None:
     """Warp events to the time `ref` along the flow, second order in time.
 
@@ -123,7 +121,7 @@ def warp(events: CellEvents, ref: float, flow: F32, acceleration: F32, out: F32)
                     went[k] = came[k] + (middle - s[k]) * u
 
 
-@fast
+@_inlined
 def _bilinear(nodes: F32, c: int, r: int, d: int) -> tuple[float, float, float, float]:
     """Coefficients of 1, x, y and x y of the interpolation in a cell.
 
@@ -137,7 +135,7 @@ def _bilinear(nodes: F32, c: int, r: int, d: int) -> tuple[float, float, float, 
     return left, by_x, lower - left, lower_by_x - by_x
 
 
-@fast
+@_inlined
 def shift(x: F32, y: F32, s: F32, u: float, v: float) -> F32:
     """Warp events (N,) each to the middle by a constant flow, px per window; (2, N) px."""
     position = np.empty((2, len(x)), np.float32)
@@ -148,7 +146,7 @@ def shift(x: F32, y: F32, s: F32, u: float, v: float) -> F32:
     return position
 
 
-@fast
+@_inlined
 def vote(position: F32, weights: F32, part: I32, zoom: float, images: F32) -> None:
     """Add weighted events to images by bilinear voting; the images are cleared first.
 

@@ -207,7 +207,7 @@ def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) ->
                 band[j, 2] -= weight
 
 
-@njit(nogil=True, inline="always")  # why: see core.lattice.constraints
+@njit(nogil=True, inline="always")
 def add_rows(
     normal: F64, by_further: F64, weight: F64, r: F64,
     vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,

@@ -4,17 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emoflow_ros.core.lattice.settings import LATTICE
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast, njit
 
 F64 = NDArray[np.float64]
 
 _LEAST_FLOW_PX = LATTICE.least_flow_px  # numba reads no fields
 
 # Sums may be taken in any order, so that they become vector instructions.
-_compiled = njit(fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
+_compiled = njit(nogil=True)
 
 
-@_compiled
+@fast()
 def best_rotations(
     line: F64, soft: float, b: F64, flow: F64, evidence: F64, inlier: float, reweightings: int,
     known: F64, information: F64, depths: float, px_per_rad: float,

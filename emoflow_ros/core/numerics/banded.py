@@ -7,14 +7,14 @@ LAPACK's dpbtrf and dtbtrs. Those treat right sides one by one.
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast, njit
 
 F64 = NDArray[np.float64]
 
 _FEW = 4  # columns that are eliminated at once
 
 # Sums may be taken in any order, so that they become vector instructions. NaN stays NaN.
-_compiled = njit(fastmath={"reassoc", "contract", "nsz"}, nogil=True, error_model="numpy")
+_compiled = fast(error_model="numpy")
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -102,7 +102,7 @@ def _eliminate(band: F64, right: F64) -> bool:
     return True
 
 
-@njit(inline="always")  # why: see core.lattice.constraints
+@njit(inline="always")  # within fast ones
 def _eliminate_column(band: F64, j: int, end: int) -> bool:
     """Divide column j by its root, and take it from the columns before `end`."""
     column, length = band[j], min(band.shape[1], len(band) - j)

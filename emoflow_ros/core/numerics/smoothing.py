@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from emoflow_ros.core.numerics.jit import njit
+from emoflow_ros.core.numerics.jit import fast
 
 F32 = NDArray[np.float32]
 
@@ -24,7 +24,7 @@ def outwards(taps: F32) -> Taps:
     return tuple(taps[len(taps) // 2 :])
 
 
-@njit(fastmath=True, nogil=True)
+@fast(inline="always")
 def smooth(images: F32, taps: Taps) -> None:
     """Convolve images with a symmetric kernel along columns and rows, in place; zero outside.
 

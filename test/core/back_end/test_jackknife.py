@@ -25,7 +25,7 @@ def variances(o: Observations) -> tuple[float, float, float]:
     """Squared error of w in the middle, and its variance by the jackknife and by the equations."""
     found = adjusted(o)
     motion = motion_at(T, found, int(T[MIDDLE]))
-    by_quarters = spread(without_quarters(o, found, STEADY, SETTINGS)[MIDDLE])
+    by_quarters = spread(without_quarters(o, found, SETTINGS)[MIDDLE])
     error = motion.angular - W
     return float(error @ error), float(np.trace(by_quarters)), float(np.trace(motion.covariance))
 
@@ -57,7 +57,7 @@ def test_patches_at_one_place_are_one_part():
 
 def test_of_a_camera_that_only_rotates_too():
     o = problem()
-    changes = without_quarters(o, adjusted(o, translates=False), STEADY, SETTINGS)
+    changes = without_quarters(o, adjusted(o, translates=False), SETTINGS)
     assert changes.shape == (NODES, 4, 3)
     assert np.isfinite(changes).all()
     assert (np.abs(changes).max(axis=(0, 2)) > 0).all()

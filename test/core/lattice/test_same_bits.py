@@ -1,6 +1,6 @@
 """Estimates have the same bits in every process, whether it compiles, loads or unpickles.
 
-Functions that call several kernels bring copies of them along; see `contrast._load_kernels`.
+And whatever was compiled before, in whichever order (`numerics.jit`).
 """
 
 import os
@@ -15,15 +15,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from emoflow_ros.core.lattice import derivatives, kernels
+from emoflow_ros.core.lattice import derivatives
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.config import load_config
-from emoflow_ros.core.lattice.contrast import STIFFNESS_STRIDE, TAPS, Contrast
+from emoflow_ros.core.lattice.contrast import Contrast
 from emoflow_ros.core.types.events import Events, Window
 from emoflow_ros.factory import make_estimator
 from emoflow_ros.core.lattice.field import Lattice
-from emoflow_ros.core.numerics.smoothing import outwards, smooth
-from emoflow_ros.core.lattice.window_events import PARTS, WindowEvents
+from emoflow_ros.core.lattice.window_events import WindowEvents
 import emoflow_ros.evaluation.run_progress  # how checkpoints pickle what is in an estimator
 
 kept = Path(sys.argv[2])
@@ -81,32 +80,53 @@ cells = contrast.linearise(events, flow)
 for part in cells:
     digest.update(part)
 
-here, position = events.on(lattice), np.empty((2, len(events)), np.float32)
-images, by_hand = np.empty_like(contrast._parts), [np.empty_like(part) for part in cells]
-kernels.warp(here, 0.5, flow, lattice.acceleration(flow), position)
-kernels.vote(position, here.weights, here.part, contrast._zoom, images)
-smooth(images, outwards(np.convolve(TAPS, TAPS)))
-kernels.without_own(images)
-drawn, pairs = (here, 0.5, position, images, contrast._zoom), PARTS / (PARTS - 1)
-slope = contrast._zoom**2 * pairs
-derivatives.pull(*drawn, slope, by_hand[0])
-derivatives.stiffen(*drawn, STIFFNESS_STRIDE, slope * pairs, by_hand[1])
-assert np.array_equal(contrast._parts, images)
-for one, other in zip(cells, by_hand):
-    assert np.array_equal(one, other)
 print(digest.hexdigest())
 """
 
 
-def run(how: str, kept: Path, environment: dict[str, str]) -> str:
-    command = [sys.executable, "-c", SCRIPT, how, str(kept)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+# What another process may have compiled before: other parts, and some of what the estimator needs.
+BEFORE = """
+import numpy as np
+from emoflow_ros.core.lattice import kernels
+from emoflow_ros.core.numerics.smoothing import outwards, smooth
+from emoflow_ros.core.lattice.contrast import TAPS
+from emoflow_ros.core.stream.cleaning import without_flicker, without_hot_pixels
+from emoflow_ros.core.types.events import Events
+
+rng = np.random.default_rng(0)
+x, y = rng.integers(0, 64, (2, 5000)).astype(np.uint16)
+events = Events(x, y, np.arange(5000) * 20_000, x < y)
+without_flicker(events, 64, 64)
+without_hot_pixels(events, 64, 64)
+image = np.zeros((1, 64, 64), np.float32)
+kernels.vote(np.ones((2, 9), np.float32), np.ones(9, np.float32), np.zeros(9, np.int32), 1.0, image)
+smooth(image, outwards(TAPS))
+kernels.sum_of_squares(image)
+"""
+
+
+def start(folder: Path, cache: str, code: str, *arguments: str) -> subprocess.Popen[str]:
+    """Start a process; the order of a set, which is in numba's names, is another one by code."""
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(folder / cache), "PYTHONHASHSEED": str(len(code))
+    }  # fmt: skip
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def output(process: subprocess.Popen[str]) -> str:
+    out, error = process.communicate()
+    assert process.returncode == 0, error
+    return out
 
 
 def test_processes_that_compile_load_and_unpickle(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    kept = tmp_path / "estimator.pickle"
-    digests = {run(how, kept, environment) for how in ("compile", "load", "unpickle")}
+    kept = str(tmp_path / "estimator.pickle")
+    output(start(tmp_path, "filled before", BEFORE))
+    one = start(tmp_path, "empty", SCRIPT, "compile", kept)
+    other = start(tmp_path, "filled before", SCRIPT, "compile", str(tmp_path / "other.pickle"))
+    digests = {output(one), output(other)}
+    digests |= {output(start(tmp_path, "empty", SCRIPT, how, kept)) for how in ("load", "unpickle")}
     assert len(digests) == 1
