@@ -198,7 +198,7 @@ class Odometry:
         depths = depths_now(patches, x, self.back.depths)[followed]
         x = carried_on(x, seconds)
         place, shape = patches.place[followed], patches.shape.copy()
-        by_way = deformations(self.camera, place, x, depths, self.back.most_growth)
+        by_way = deformations(self.camera, place, x, depths)
         shape[followed] = by_way @ shape[followed]
         hypotheses = state.hypotheses and state.hypotheses.carried_on(seconds)
         patches = replace(patches, shape=shape)

@@ -14,8 +14,6 @@ from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import SliceEvents, grid_nodes
 from emoflow_ros.core.front_end.slicing import slices
 from emoflow_ros.core.geometry.camera import Camera
-from emoflow_ros.core.lattice.bending import Bend
-from emoflow_ros.core.lattice.field import LatticeFlow
 from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import Depths, ShownFlow
 from emoflow_ros.core.lattice.uncertainty import without_translation
@@ -95,7 +93,6 @@ class RememberingEstimator:
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
         self._grid = grid_nodes(self.image.camera.size).reshape(-1, 2) * self.image.sensor_px
-        self._bent = Bend(self.image.sensor)
         self.reset()
 
     def reset(self) -> None:
@@ -232,8 +229,6 @@ class RememberingEstimator:
             angular_walk=state.walks.angular,
         )
         flow, shown = self._refined(estimate, motion, memory, told.variance)
-        if isinstance(flow, LatticeFlow):
-            flow = self._bent(flow, motion)
         if shown is not None:
             memory = replace(memory, shown=(*memory.shown, shown)[-_MOST_SHOWN:])
         return memory, replace(estimate, flow=flow)

@@ -99,21 +99,17 @@ def expected_places(camera: Camera, patches: Patches, x: Unknowns) -> Array:
     return camera.project(points)
 
 
-def deformations(
-    camera: Camera, place: Array, x: Unknowns, depths: Array, most_growth: float
-) -> Array:
+def deformations(camera: Camera, place: Array, x: Unknowns, depths: Array) -> Array:
     """What the way from the last but one node to the newest makes of patches, (N, 2, 2).
 
     Offsets (x, y) px within a patch are multiplied by it. Patches face the camera. It is the
-    identity for those that are, or come, off the image or behind the camera, and for those whose
-    area would change by more than a share.
+    identity for those that are, or come, off the image or behind the camera.
 
     Args:
         camera: of the tracking image.
         place: (N, 2) px of the patches at the last but one node.
         x: motion of the nodes.
         depths: (N,) inverse depths at the last but one node; NaN where unknown.
-        most_growth: that share.
     """
     seen, jacobian = looked_up(camera, place)
     turn = x.rotation[-1].T @ x.rotation[-2]
@@ -128,8 +124,7 @@ def deformations(
     arrived, back = looked_up(camera, camera.project(rays))
     with np.errstate(invalid="ignore"):
         found = np.linalg.inv(np.where(np.isfinite(back), back, np.eye(2))) @ on_plane @ jacobian
-        known = ahead & np.isfinite(arrived).all(axis=1)
-        known &= np.abs(np.linalg.det(found) - 1) < most_growth
+    known = ahead & np.isfinite(arrived).all(axis=1) & np.isfinite(found).all(axis=(1, 2))
     return np.where(known[:, None, None], found, np.eye(2))
 
 

@@ -56,8 +56,6 @@ class BackEndSettings:
         speed_sd: standard deviation of each component of the velocity, 1/s.
         depth_sd: of an inverse depth around the mean one.
         depths: least and largest inverse depth.
-        most_growth: share of a patch's area that it may change by from node to node: else its depth
-            is not believed.
         lattice_sd_deg, gyro_sd_deg: added to the covariance of the lattice's angular velocity, and
             of a gyro's, deg/s: successive windows overlap, and share their errors.
         gyro_parts: of a window that a gyro tells apart: 1, 2, 4 or 8.
@@ -98,7 +96,6 @@ class BackEndSettings:
     speed_sd: float = 2.0
     depth_sd: float = 2.0
     depths: tuple[float, float] = (0.01, 20.0)
-    most_growth: float = 0.5
     lattice_sd_deg: float = 1.5
     gyro_sd_deg: float = 0.6
     gyro_parts: int = 4
