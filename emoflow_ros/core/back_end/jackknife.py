@@ -26,9 +26,9 @@ _QUARTERS = 4
 def without_quarters(problem: Observations, found: Adjusted, settings: BackEndSettings) -> Array:
     """Change of the angular velocities (K, 4, 3), rad/s, if a quarter of the patches is left out.
 
-    One step of Newton's tells it: the equations of all, and what remains of their slope, which is
-    zero at the minimum, are those of the others once a quarter's are taken off. It is zero for a
-    quarter without which there is no minimum.
+    That of one step of Gauss and Newton's, which goes two thirds of the way: the equations of all,
+    whose slope is zero at the minimum, less those of a quarter, are those of the others. It is zero
+    for a quarter without which there is no minimum.
 
     Args:
         problem: the places of all.
@@ -45,7 +45,7 @@ def without_quarters(problem: Observations, found: Adjusted, settings: BackEndSe
         )  # fmt: skip
         matrix, slope = information(some, found.x, settings.outlier, found.free)
         step = np.zeros(nodes * NODE)
-        with suppress(np.linalg.LinAlgError):
+        with suppress(np.linalg.LinAlgError, ValueError):  # the latter if they are not finite
             step[found.free] = cho_solve(cho_factor(found.matrix - matrix), -slope)
         changes[:, part] = step.reshape(nodes, NODE)[:, POSE : POSE + 3]
     return changes

@@ -31,10 +31,10 @@ _CORE = Path(__file__).parents[1]
 # `emoflow_ros`, or `msg_adapters`.
 njit = partial(numba.njit, cache=True)
 
-# The same for loops whose sums may be taken in any order; NaN and infinity stay what they are. Such
-# a function calls no other one but inlined ones (inline="always"), nor is it called by any: numba
-# compiles it again within each caller, rounded in another way, and which copy runs depends on what
-# was compiled and loaded before. For the same reason it has no power, x * x instead.
+# The same for loops whose sums may be taken in any order; NaN and infinity stay what they are.
+# Where a compiled function calls such a one it is inlined (inline="always"): else numba compiles it
+# again within each caller, rounded in another way, and which copy runs depends on what was compiled
+# and loaded before. For the same reason it has no power, but x * x.
 fast = partial(njit, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 

@@ -1,5 +1,7 @@
 """How far the rotation rests on one part of the image."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_problem import DEPTHS, NODES, NOISE, T, W, prior, problem, start
@@ -61,6 +63,30 @@ def test_of_a_camera_that_only_rotates_too():
     assert changes.shape == (NODES, 4, 3)
     assert np.isfinite(changes).all()
     assert (np.abs(changes).max(axis=(0, 2)) > 0).all()
+
+
+@pytest.mark.parametrize("factor", [0.0, np.nan])
+def test_quarters_without_which_there_is_no_minimum_change_nothing(factor: float):
+    o = problem()
+    found = adjusted(o)
+    nothing = replace(found, matrix=factor * found.matrix)
+    assert not without_quarters(o, nothing, SETTINGS).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_step_goes_most_of_the_way_of_an_adjustment_without_a_quarter(seed: int):
+    o = problem(seed=seed)
+    found, part = adjusted(o), quarters(o.bearing)[o.patch]
+    changes = without_quarters(o, found, SETTINGS)
+    for quarter in range(4):
+        kept = part != quarter
+        others = o._replace(
+            patch=o.patch[kept], node=o.node[kept], seen=o.seen[kept], root=o.root[kept]
+        )
+        again = adjusted(others).x.angular - found.x.angular
+        one, all_of_it = np.linalg.norm(changes[:, quarter]), np.linalg.norm(again)
+        assert np.sum(changes[:, quarter] * again) > 0.7 * one * all_of_it
+        assert 0.4 < one / all_of_it < 1
 
 
 def test_what_all_quarters_agree_on_has_no_spread():
