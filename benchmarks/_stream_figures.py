@@ -77,7 +77,7 @@ def longest_silence(times: Sequence[float], duration_s: float) -> float:
 
 
 def errors(heard: Heard, truth: Callable[[float], Array]) -> tuple[Array, Array, Array]:
-    """Return the NEES of w (N,), NaN for errors of exactly zero, and which exceed 3 deviations.
+    """Return the NEES of w (N,), NaN where the error is exactly zero, and which exceed 3 sigma.
 
     Of normal errors with that covariance 0.3 % do along each axis (N, 3), but along their own
     direction (N,) up to 2.9 %: so many if it is the same in all directions (chi squared).

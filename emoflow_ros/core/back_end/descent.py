@@ -93,9 +93,9 @@ def linearised(
 
 @_compiled
 def information(o: Observations, x: Unknowns, outlier: float, free: Index) -> tuple[Array, Array]:
-    """Normal equations (U, U), (U,) of the free unknowns by observations alone, depths taken out.
+    """Normal equations (U, U), (U,) of the free unknowns without the prior of the motion.
 
-    Arguments as of `descend`.
+    Depths are taken out, with what is known of them. Arguments as of `descend`.
     """
     e = _equations(o, x)
     e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0

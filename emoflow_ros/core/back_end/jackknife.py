@@ -27,8 +27,8 @@ def without_quarters(problem: Observations, found: Adjusted, settings: BackEndSe
     """Change of the angular velocities (K, 4, 3), rad/s, if a quarter of the patches is left out.
 
     That of one step of Gauss and Newton's, which goes two thirds of the way: the equations of all,
-    whose slope is zero at the minimum, less those of a quarter, are those of the others. It is zero
-    for a quarter without which there is no minimum.
+    whose right side is zero at the minimum, less those of a quarter, are those of the others. It is
+    zero for a quarter without which there is no minimum.
 
     Args:
         problem: the places of all.
@@ -43,10 +43,10 @@ def without_quarters(problem: Observations, found: Adjusted, settings: BackEndSe
             patch=problem.patch[own], node=problem.node[own], seen=problem.seen[own],
             root=problem.root[own],
         )  # fmt: skip
-        matrix, slope = information(some, found.x, settings.outlier, found.free)
+        matrix, right = information(some, found.x, settings.outlier, found.free)
         step = np.zeros(nodes * NODE)
         with suppress(np.linalg.LinAlgError, ValueError):  # the latter if they are not finite
-            step[found.free] = cho_solve(cho_factor(found.matrix - matrix), -slope)
+            step[found.free] = cho_solve(cho_factor(found.matrix - matrix), -right)
         changes[:, part] = step.reshape(nodes, NODE)[:, POSE : POSE + 3]
     return changes
 

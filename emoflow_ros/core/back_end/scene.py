@@ -124,7 +124,7 @@ def deformations(camera: Camera, place: Array, x: Unknowns, depths: Array) -> Ar
     arrived, back = looked_up(camera, camera.project(rays))
     with np.errstate(invalid="ignore"):
         found = np.linalg.inv(np.where(np.isfinite(back), back, np.eye(2))) @ on_plane @ jacobian
-    known = ahead & np.isfinite(arrived).all(axis=1) & np.isfinite(found).all(axis=(1, 2))
+        known = ahead & np.isfinite(arrived).all(axis=1) & (np.linalg.det(found) > 0)
     return np.where(known[:, None, None], found, np.eye(2))
 
 

@@ -10,7 +10,6 @@ F64 = NDArray[np.float64]
 
 _LEAST_FLOW_PX = LATTICE.least_flow_px  # numba reads no fields
 
-# Sums may be taken in any order, so that they become vector instructions.
 _compiled = njit(nogil=True)
 
 
@@ -108,7 +107,7 @@ def best_rotations(
             size[m] = depths * sizes + size_of_rotation(w[m], px_per_rad)
 
 
-@_compiled
+@fast(inline="always")
 def _add_squares(weight: F64, rows: F64, values: F64, matrix: F64, vector: F64) -> None:
     """Add weighted squares of values (nodes,) - w . rows (3, nodes) to normal equations of w."""
     a, b, c = rows[0], rows[1], rows[2]

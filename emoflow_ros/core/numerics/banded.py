@@ -102,7 +102,7 @@ def _eliminate(band: F64, right: F64) -> bool:
     return True
 
 
-@njit(inline="always")  # within fast ones
+@njit(inline="always")  # part of `_eliminate`, and as fast
 def _eliminate_column(band: F64, j: int, end: int) -> bool:
     """Divide column j by its root, and take it from the columns before `end`."""
     column, length = band[j], min(band.shape[1], len(band) - j)

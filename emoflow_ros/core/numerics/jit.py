@@ -29,12 +29,15 @@ _CORE = Path(__file__).parents[1]
 # Takes what `numba.njit` takes, with parentheses always. A compiled function may call functions and
 # read constants of `core` and of its own part of the package only: a folder directly in
 # `emoflow_ros`, or `msg_adapters`.
-njit = partial(numba.njit, cache=True)
+# That arithmetic is not fast is said: else a function has that of the caller that it is first
+# compiled for.
+njit = partial(numba.njit, cache=True, fastmath=False)
 
 # The same for loops whose sums may be taken in any order; NaN and infinity stay what they are.
 # Where a compiled function calls such a one it is inlined (inline="always"): else numba compiles it
 # again within each caller, rounded in another way, and which copy runs depends on what was compiled
-# and loaded before. For the same reason it has no power, but x * x.
+# and loaded before. Nor has it a power, but x * x: numba compiles that once in a process, with the
+# flags of the function that needs it first.
 fast = partial(njit, fastmath={"reassoc", "contract", "arcp", "nsz"}, nogil=True)
 
 

@@ -74,7 +74,7 @@ def test_quarters_without_which_there_is_no_minimum_change_nothing(factor: float
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_one_step_goes_most_of_the_way_of_an_adjustment_without_a_quarter(seed: int):
+def test_one_step_goes_a_good_part_of_the_way_of_an_adjustment_without_a_quarter(seed: int):
     o = problem(seed=seed)
     found, part = adjusted(o), quarters(o.bearing)[o.patch]
     changes = without_quarters(o, found, SETTINGS)

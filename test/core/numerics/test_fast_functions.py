@@ -79,8 +79,18 @@ def test_a_fast_function_is_part_of_each_compiled_one_that_calls_it() -> None:
     assert len(calls) > 60 and apart == set()
 
 
+def test_every_function_states_its_arithmetic() -> None:
+    """Else numba gives it that of the caller that it is first compiled for."""
+    functions = compiled_functions()
+    assert {f.__name__ for f in functions if "fastmath" not in f.targetoptions} == set()
+
+
 def test_no_power_in_fast_functions() -> None:
-    functions = [function for function in compiled_functions() if is_fast(function)]
+    functions = [
+        function
+        for function in compiled_functions()
+        if is_fast(function) or function.targetoptions.get("inline") == "always"
+    ]
     powers = {
         f"{function.__module__}.{function.__name__}"
         for function in functions
