@@ -69,7 +69,8 @@ def normalised_errors(estimate: Estimate, result: WindowResult) -> tuple[float, 
     Returns:
         The normalised estimation error squared (Bar-Shalom et al., 2001) of w, over 3, and of
         v on the tangent plane of its direction, over 2. Both are 1 on average for a covariance
-        that is right, and NaN where there is no estimate or no true direction.
+        that is right, and NaN where there is no estimate or no true direction, and for an error of
+        exactly zero.
     """
     nees_w = normalised_squares(result.angular_error[None], estimate.covariance[None, 3:, 3:])
     errors, covariance = direction_errors(

@@ -67,9 +67,14 @@ def test_normalised_error_of_v_grows_up_to_the_opposite_direction():
 
 def test_no_true_direction_no_error_of_v():
     estimate = Estimate(0, 1, 0, Status.OK, Quality(0), covariance=np.eye(6))
-    nees_w, nees_v = normalised_errors(estimate, result(true_linear=(0, 0, 0)))
-    assert nees_w == 0
+    nees_w, nees_v = normalised_errors(estimate, result(angular=(0.3, 0, 0), true_linear=(0, 0, 0)))
+    assert nees_w == pytest.approx(0.03)
     assert np.isnan(nees_v)
+
+
+def test_an_error_of_exactly_zero_has_no_nees():
+    estimate = Estimate(0, 1, 0, Status.OK, Quality(0), covariance=np.eye(6))
+    assert np.isnan(normalised_errors(estimate, result())[0])
 
 
 def test_a_scene_is_summed_up_over_seeds_and_by_the_worst():
