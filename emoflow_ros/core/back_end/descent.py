@@ -98,8 +98,7 @@ def information(o: Observations, x: Unknowns, outlier: float, free: Index) -> tu
     Depths are taken out, with what is known of them. Arguments as of `descend`.
     """
     e = _equations(o, x)
-    e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
-    observe(o, x, outlier, e)
+    _observe_anew(o, x, outlier, e)
     share, share_right = share_of_depths(e)
     _take(e.matrix, e.right, share, share_right, 1.0)
     return _chosen(e.matrix, free), e.right[free]
@@ -126,10 +125,16 @@ def _linearise(
     o: Observations, x: Unknowns, prior: Prior, outlier: float, e: Equations
 ) -> tuple[Array, Array]:
     """Set the equations up, and return what the depths take off them."""
-    e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
-    observe(o, x, outlier, e)
+    _observe_anew(o, x, outlier, e)
     motion_prior(x, prior, e.matrix, e.right)
     return share_of_depths(e)
+
+
+@_compiled
+def _observe_anew(o: Observations, x: Unknowns, outlier: float, e: Equations) -> None:
+    """Set the equations up by the observations alone."""
+    e.matrix[:], e.right[:], e.cross[:], e.own[:], e.own_right[:] = 0.0, 0.0, 0.0, 0.0, 0.0
+    observe(o, x, outlier, e)
 
 
 @_compiled

@@ -207,7 +207,7 @@ def add_differences_in_time(flow: F64, weight: float, vector: F64, band: F64) ->
                 band[j, 2] -= weight
 
 
-@njit(nogil=True, inline="always")
+@njit(nogil=True, inline="always")  # part of its callers, with their arithmetic
 def add_rows(
     normal: F64, by_further: F64, weight: F64, r: F64,
     vector: F64, band: F64, border: F64, corner: F64, corner_vector: F64,
