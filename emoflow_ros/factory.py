@@ -38,11 +38,15 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.stream.cleaning import CleanWindows
 
     by_motion = config.window.max_displacement_px > 0
-    fit = LatticeEstimator(camera, lattice, config.imu, whole=not by_motion)
+    fit = LatticeEstimator(
+        camera, lattice, config.imu, whole=not by_motion, teaches_bias=not lattice.remembers
+    )
     estimator: Estimator = fit
     if by_motion:
         estimator = MotionWindows(estimator, camera, config.window)
     if lattice.remembers:
-        estimator = RememberingEstimator(estimator, camera, fit.refined)
+        estimator = RememberingEstimator(
+            estimator, camera, fit.refined, learn_bias=fit.gyro.learn_bias
+        )
     estimator = ContinuousEstimator(estimator, camera, lattice)
     return CleanWindows(estimator, camera)

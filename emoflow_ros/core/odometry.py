@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
+from emoflow_ros.core.back_end.bias import seen_bias
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.jackknife import spread, without_quarters
@@ -42,6 +43,7 @@ from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.front_end.slices import Slice, SliceEvents, drawn, flow_at, sharpness
 from emoflow_ros.core.geometry.camera import Camera
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.gyro import SeenBias
 
 Array = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -76,6 +78,7 @@ class State:
         adjusted: of the last step; None while patches are too few.
         hypotheses: ways that are possible at these nodes; None as well.
         changes: (K, 4, 3) rad/s of w at these nodes without a quarter of the patches; likewise.
+        bias: of the gyro, by the last adjustment; None without one.
     """
 
     walks: Walks
@@ -86,6 +89,7 @@ class State:
     adjusted: Adjusted | None = None
     hypotheses: Hypotheses | None = None
     changes: Array | None = None
+    bias: SeenBias | None = None
 
     def motion(self, t: int) -> MotionAt | None:
         """The motion at a time (ns); None while nothing is adjusted."""
@@ -240,7 +244,7 @@ class Odometry:
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2
         if len(state.t) < 3 or used.sum() < back.fewest_patches or x is None:
-            return replace(state, adjusted=None, hypotheses=None, changes=None)
+            return replace(state, adjusted=None, hypotheses=None, changes=None, bias=None)
         some = patches.at(used)
         problem = observations(some, back)
         known = prior(state.t, state.measured, state.walks, back)
@@ -265,6 +269,7 @@ class Odometry:
         found = found.of_unit_depth()
         try:
             walks = state.walks.learnt(found, known.seconds, back)
+            bias = seen_bias(found, known)
         except np.linalg.LinAlgError:
             return self.start()
         depths, of_depth = patches.inverse_depth.copy(), np.zeros(len(patches))
@@ -278,6 +283,7 @@ class Odometry:
             adjusted=found,
             hypotheses=hypotheses,
             changes=changes,
+            bias=bias,
         )
 
     def _completed(self, state: State, picture: Slice) -> State:

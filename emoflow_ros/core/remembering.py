@@ -18,7 +18,7 @@ from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import Depths, ShownFlow
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
-from emoflow_ros.core.told_motion import ToldMotion, across
+from emoflow_ros.core.told_motion import ToldMotion, across, told_bias
 from emoflow_ros.core.types.estimate import (
     REMEMBERED,
     Estimate,
@@ -29,7 +29,7 @@ from emoflow_ros.core.types.estimate import (
     velocity_at,
 )
 from emoflow_ros.core.types.events import NS_PER_MS, Window
-from emoflow_ros.core.types.gyro import GyroState
+from emoflow_ros.core.types.gyro import GyroState, SeenBias
 from emoflow_ros.core.window_evidence import (
     expected_by_memory,
     measured_by_window,
@@ -75,6 +75,7 @@ class RememberingEstimator:
         estimator: of the windows' flow.
         camera: whose pixels the events lie on.
         refine: fits the flow of a window again, once its motion is known, and tells what it shows.
+        learn_bias: takes what is seen of a gyro's bias.
         front: settings of the front end.
         back: settings of the back end.
 
@@ -85,10 +86,12 @@ class RememberingEstimator:
     def __init__(
         self, estimator: Estimator, camera: Camera,
         refine: Callable[[Estimate, Depths], tuple[Estimate, ShownFlow | None]],
-        front: FrontEndSettings | None = None, back: BackEndSettings | None = None,
+        front: FrontEndSettings | None = None, back: BackEndSettings | None = None, *,
+        learn_bias: Callable[[SeenBias], None] | None = None,
     ) -> None:  # fmt: skip
         self._estimator = estimator
         self._refine = refine
+        self._learn_bias = learn_bias
         self._front = front or FrontEndSettings()
         self.image = WorkingImage.of(camera, self._front.longer_side_px)
         self._odometry = Odometry(self.image.camera, self._front, back)
@@ -107,7 +110,10 @@ class RememberingEstimator:
             expected = expected_by_memory(self._odometry, memory.odometry, self.image)
             window = replace(window, expected=expected)
         found = self._estimator.estimate(window)
-        self._memory, estimate = self.step(self._memory, window, found)
+        self._memory, estimate = self.step(memory, window, found)
+        state = self._memory.odometry
+        if self._learn_bias and state.bias is not None and state is not memory.odometry:
+            self._learn_bias(told_bias(state, found.t, self._odometry.back))
         return estimate
 
     def step(self, memory: Memory, window: Window, found: Estimate) -> tuple[Memory, Estimate]:

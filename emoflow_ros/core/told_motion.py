@@ -1,6 +1,6 @@
 """The motion that is told of a window, and its covariance: one decision from all that is known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import State
 from emoflow_ros.core.types.estimate import Estimate, MotionModel
 from emoflow_ros.core.types.events import NS_PER_S, Window
-from emoflow_ros.core.types.gyro import GyroState
+from emoflow_ros.core.types.gyro import GyroState, SeenBias
 
 Array = NDArray[np.float64]
 
@@ -79,6 +79,21 @@ class ToldMotion:
                 return cls(MotionModel.FULL, direction, angular, covariance, variance)
         unknown = without_translation(covariance)
         return cls(MotionModel.ROTATION, np.zeros(3), angular, unknown, variance)
+
+
+def told_bias(state: State, t: int, settings: BackEndSettings) -> SeenBias:
+    """Tell a gyro's bias by positions: its covariance grows with misfit, and as w's by parts.
+
+    Args:
+        state: of the memory, with a bias.
+        t: time that the ways are compared at, ns.
+        settings: of the back end.
+    """
+    assert state.bias is not None and state.adjusted is not None
+    law = settings.errors
+    factor = law.bias * max(state.adjusted.mean_cost(settings), law.least_cost)
+    covariance = factor * state.bias.covariance + state.spread(t)[0]
+    return replace(state.bias, covariance=covariance)
 
 
 def _seconds(window: Window, found: Estimate) -> float:

@@ -8,6 +8,7 @@ from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.front_end.appearance import unit
 from emoflow_ros.core.front_end.slices import flow_at
 from emoflow_ros.core.geometry.camera import Camera
+from emoflow_ros.core.gyro.settings import GYRO
 from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import rotation_by_parts
 from emoflow_ros.core.odometry import Odometry, State
@@ -22,33 +23,43 @@ def measured_by_window(
 ) -> tuple[Measured, ...]:
     """Tell what a window says of w; that no motion is seen in it says that w is small.
 
-    A gyro tells how it changes, too, part by part; together they count as one.
+    A gyro tells how it changes, too, part by part; together they count as one. Its bias is in all.
 
     Args:
         found: what the lattice estimates of the window.
         camera: of the tracking image.
         settings: of the back end.
     """
-    parts = settings.gyro_parts if found.gyro.state is GyroState.USED else 1
+    parts, bias, variance = 1, None, variance_of_window(found, camera, settings)
+    if found.gyro.state is GyroState.USED:
+        parts, bias = settings.gyro_parts, found.covariance[3:, 3:]
+        variance = _own_variance(found)
     angular, length = found.angular[None], found.t_end - found.t_start
     if found.motion is not None:
         angular = rotation_by_parts(found, parts) * (NS_PER_S / length)
-    root = np.eye(3) / np.sqrt(len(angular) * variance_of_window(found, camera, settings))
+    root = np.eye(3) / np.sqrt(len(angular) * variance)
     ends = found.t_start + np.arange(len(angular) + 1) * length // len(angular)
     return tuple(
-        Measured(int(begin), int(end), w, root, found.linear)
+        Measured(int(begin), int(end), w, root, found.linear, bias)
         for begin, end, w in zip(ends[:-1], ends[1:], angular, strict=True)
     )
 
 
 def variance_of_window(found: Estimate, camera: Camera, settings: BackEndSettings) -> float:
     """Variance of what a window says of w about each axis, (rad/s)^2. Arguments as above."""
-    by_gyro = found.gyro.state is GyroState.USED
-    spread = np.radians(settings.gyro_sd_deg if by_gyro else settings.lattice_sd_deg)
+    own = np.radians(settings.lattice_sd_deg) ** 2
+    if found.gyro.state is GyroState.USED:
+        own = _own_variance(found)
     if found.flow is None:
         seconds = (found.t_end - found.t_start) / NS_PER_S
-        spread = settings.unseen_px / (camera.fx * seconds)
-    return max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + float(spread) ** 2
+        own = (settings.unseen_px / (camera.fx * seconds)) ** 2
+    return max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + float(own)
+
+
+def _own_variance(found: Estimate) -> float:
+    """Variance of what a gyro says of w without its bias, (rad/s)^2."""
+    speed = float(np.linalg.norm(found.angular))
+    return GYRO.floor**2 + (GYRO.relative_floor * speed) ** 2
 
 
 def expected_by_memory(odometry: Odometry, state: State, image: WorkingImage) -> Expected | None:

@@ -25,6 +25,7 @@ class Measured:
         angular: (3,) rad/s, mean over the window.
         root: (3, 3) square root of the information on it.
         direction: (3,) of translation, zeros where unknown: a start, no evidence.
+        bias: (3, 3) covariance of the error that all windows of a gyro share; None of others.
     """
 
     t_start: int
@@ -32,6 +33,7 @@ class Measured:
     angular: Array
     root: Array
     direction: Array
+    bias: Array | None = None
 
     @property
     def t(self) -> int:
@@ -63,6 +65,7 @@ def prior(
 ) -> Prior:
     """Collect what is known of the motion at nodes (K,) ns besides the places of patches."""
     within = [m for m in measured if t[0] <= m.t <= t[-1]]
+    biases = [m.bias for m in within if m.bias is not None]
     return Prior(
         np.diff(t) / NS_PER_S,
         walks.angular,
@@ -72,6 +75,8 @@ def prior(
         np.array([_shares(t, m) for m in within]).reshape(-1, len(t)),
         np.array([m.root for m in within]).reshape(-1, 3, 3),
         settings.lattice_outlier,
+        np.array([m.bias is not None for m in within], np.bool_),
+        np.linalg.inv(biases[-1]) if biases else np.eye(3),
     )
 
 

@@ -27,6 +27,8 @@ class Prior(NamedTuple):
             last what lies after the newest.
         measured_root: (M, 3, 3) square root of the information.
         measured_outlier: distance in standard deviations from which a measurement counts little.
+        measured_biased: (M,) whether its error holds a bias that all of these share.
+        bias_information: (3, 3) inverse covariance of the bias.
     """
 
     seconds: Array
@@ -37,6 +39,22 @@ class Prior(NamedTuple):
     measured_share: Array
     measured_root: Array
     measured_outlier: float
+    measured_biased: NDArray[np.bool_]
+    bias_information: Array
+
+
+class Bias(NamedTuple):
+    """Normal equations of the bias that measured angular velocities share.
+
+    Attributes:
+        information: (3, 3) on it, the motion being known.
+        right: (3,) their right side.
+        cross: (12 K, 3) of the nodes and the bias.
+    """
+
+    information: Array
+    right: Array
+    cross: Array
 
 
 @_compiled
@@ -138,43 +156,92 @@ def _measured(
 
     A window's mean is that of the turns between the nodes within it, and of the newest angular
     velocity after them. So it holds the way, and the angular velocities at the nodes follow a hand
-    that trembles faster than a window is long.
+    that trembles faster than a window is long. A bias is taken out of the equations (Schur).
     """
     cost, build, newest = 0.0, len(right) > 0, len(turn)
     rows = np.empty((newest + 2, 3, 3))  # by each rotation, and by the newest angular velocity
+    bias = _no_bias(x, prior)
     for m in range(len(prior.measured)):
-        error, squares = -prior.measured[m], 0.0
-        rows[:] = 0.0
-        for k in range(newest):
-            rate = prior.measured_share[m, k] / prior.seconds[k]
-            for a in range(3):
-                error[a] += rate * turn[k, a]
-                rows[k + 1, a, a] += rate
-                for b in range(3):
-                    rows[k, a, b] -= rate * relative[k, b, a]
-        after = prior.measured_share[m, newest]
-        for a in range(3):
-            error[a] += after * x.angular[newest, a]
-            rows[newest + 1, a, a] = after
-        residual = prior.measured_root[m] @ error
+        error = _apart(x, prior, relative, turn, m, rows)
+        residual, squares = prior.measured_root[m] @ error, 0.0
         for a in range(3):
             squares += residual[a] ** 2
         bound = prior.measured_outlier**2
         cost += 0.5 * squares / (1 + squares / bound)
-        if build:
-            weight = 1 / (1 + squares / bound) ** 2
-            information = weight * (prior.measured_root[m].T @ prior.measured_root[m])
-            for k in range(newest + 2):
-                if not np.any(rows[k]):
-                    continue
-                u = NODE * k if k <= newest else NODE * newest + POSE
-                pull = rows[k].T @ information
-                right[u : u + 3] -= pull @ error
-                for i in range(newest + 2):
-                    if np.any(rows[i]):
-                        v = NODE * i if i <= newest else NODE * newest + POSE
-                        matrix[u : u + 3, v : v + 3] += pull @ rows[i]
-    return cost
+        weight = 1 / (1 + squares / bound) ** 2
+        information = weight * (prior.measured_root[m].T @ prior.measured_root[m])
+        if prior.measured_biased[m]:
+            _add_to_bias(bias, information, error, rows)
+        if not build:
+            continue
+        for k in range(newest + 2):
+            if not np.any(rows[k]):
+                continue
+            u, pull = _first_unknown(k, newest), rows[k].T @ information
+            right[u : u + 3] -= pull @ error
+            for i in range(newest + 2):
+                if np.any(rows[i]):
+                    v = _first_unknown(i, newest)
+                    matrix[u : u + 3, v : v + 3] += pull @ rows[i]
+    if not np.any(prior.measured_biased):
+        return cost
+    likeliest = np.linalg.solve(bias.information, bias.right)
+    if build:
+        matrix -= bias.cross @ np.linalg.solve(bias.information, bias.cross.T)
+        right -= bias.cross @ likeliest
+    return cost - 0.5 * float(bias.right @ likeliest)
+
+
+@_compiled
+def gyro_bias(x: Unknowns, prior: Prior) -> Bias:
+    """Normal equations of the bias that measured angular velocities share, along a way."""
+    relative, turn = _turns(x)
+    bias, rows = _no_bias(x, prior), np.empty((len(turn) + 2, 3, 3))
+    for m in np.flatnonzero(prior.measured_biased):
+        error = _apart(x, prior, relative, turn, m, rows)
+        _add_to_bias(bias, prior.measured_root[m].T @ prior.measured_root[m], error, rows)
+    return bias
+
+
+@_compiled
+def _no_bias(x: Unknowns, prior: Prior) -> Bias:
+    return Bias(prior.bias_information.copy(), np.zeros(3), np.zeros((NODE * len(x.position), 3)))
+
+
+@_compiled
+def _add_to_bias(bias: Bias, information: Array, error: Array, rows: Array) -> None:
+    """Add a measurement; what is measured is the mean angular velocity and the bias."""
+    bias.information[:] += information
+    bias.right[:] -= information @ error
+    for k in range(len(rows)):
+        if np.any(rows[k]):
+            u = _first_unknown(k, len(rows) - 2)
+            bias.cross[u : u + 3] += rows[k].T @ information
+
+
+@_compiled
+def _apart(x: Unknowns, prior: Prior, relative: Array, turn: Array, m: int, rows: Array) -> Array:
+    """How far a window's mean (3,) lies from what was measured; derivatives into rows."""
+    error, newest = -prior.measured[m], len(turn)
+    rows[:] = 0.0
+    for k in range(newest):
+        rate = prior.measured_share[m, k] / prior.seconds[k]
+        for a in range(3):
+            error[a] += rate * turn[k, a]
+            rows[k + 1, a, a] += rate
+            for b in range(3):
+                rows[k, a, b] -= rate * relative[k, b, a]
+    after = prior.measured_share[m, newest]
+    for a in range(3):
+        error[a] += after * x.angular[newest, a]
+        rows[newest + 1, a, a] = after
+    return error
+
+
+@_compiled
+def _first_unknown(k: int, newest: int) -> int:
+    """First of a node's rotation; after the newest one, of its angular velocity."""
+    return NODE * k if k <= newest else NODE * newest + POSE
 
 
 @_compiled

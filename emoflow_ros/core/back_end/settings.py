@@ -16,6 +16,7 @@ class ErrorLaw:
         angular: factor on the covariance of the angular velocity, 1/s.
         direction: factor on the variance of the direction.
         of_gyro: share in it of the variance of a gyro's w over the squared speed.
+        bias: factor on the covariance of a gyro's bias.
         first: factor on the lattice's covariance where the memory tells no motion yet.
         share: of the newest window in running means.
         usual_revision, usual_turn: before the first one.
@@ -27,6 +28,7 @@ class ErrorLaw:
     angular: float = 130.0
     direction: float = 0.37
     of_gyro: float = 0.5
+    bias: float = 12.0
     first: float = 3.0
     share: float = 0.15
     usual_revision: float = 0.07
@@ -56,8 +58,8 @@ class BackEndSettings:
         speed_sd: standard deviation of each component of the velocity, 1/s.
         depth_sd: of an inverse depth around the mean one.
         depths: least and largest inverse depth.
-        lattice_sd_deg, gyro_sd_deg: added to the covariance of the lattice's angular velocity, and
-            of a gyro's, deg/s: successive windows overlap, and share their errors.
+        lattice_sd_deg: added to the covariance of the lattice's angular velocity, deg/s:
+            successive windows overlap, and share their errors.
         gyro_parts: of a window that a gyro tells apart: 1, 2, 4 or 8.
         unseen_px: standard deviation of the way of the image in a window in which the lattice sees
             no motion, px.
@@ -97,7 +99,6 @@ class BackEndSettings:
     depth_sd: float = 2.0
     depths: tuple[float, float] = (0.01, 20.0)
     lattice_sd_deg: float = 1.5
-    gyro_sd_deg: float = 0.6
     gyro_parts: int = 4
     unseen_px: float = 1.5
     lattice_outlier: float = 20.0

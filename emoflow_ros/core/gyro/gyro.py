@@ -15,7 +15,7 @@ from emoflow_ros.core.gyro.checks import (
 from emoflow_ros.core.gyro.config import GyroConfig
 from emoflow_ros.core.gyro.measurement import GyroMeasurement, Shape, fit_shape
 from emoflow_ros.core.gyro.settings import GYRO
-from emoflow_ros.core.types.gyro import GyroFault, GyroReadings, GyroState, GyroStatus
+from emoflow_ros.core.types.gyro import GyroFault, GyroReadings, GyroState, GyroStatus, SeenBias
 
 Array = NDArray[np.float64]
 
@@ -107,12 +107,15 @@ class Gyro:
         self.status = GyroStatus(GyroState.USED)
         return self._last
 
-    def learn(self, w_events: Array, covariance_events: Array) -> None:
+    def learn(
+        self, w_events: Array, covariance_events: Array, *, teaches_bias: bool = True
+    ) -> None:
         """Compare the window that was measured last with what its events tell, without the gyro.
 
         Args:
             w_events: (3,) rad/s, in the middle of the interval that was measured.
             covariance_events: (3, 3) of it.
+            teaches_bias: whether the bias is learnt from it, too; else by `learn_bias`.
         """
         last = self._last
         if last is None or not (
@@ -124,11 +127,16 @@ class Gyro:
         known = covariance_events + self._own + GYRO.floor**2 * np.eye(3)
         self._guess.add(last.middle + self._bias.mean, w_events)
         self._judge(last.middle - w_events, known, speed, last.t_end)
-        self._bias.update(
-            last.middle + self._bias.mean - w_events,
-            known + (GYRO.relative_floor * speed) ** 2 * np.eye(3),
-            max(GYRO.correlated_s, (last.t_end - last.t_start) / _NS_PER_S),
-        )
+        if teaches_bias:
+            self._bias.update(
+                last.middle + self._bias.mean - w_events,
+                known + (GYRO.relative_floor * speed) ** 2 * np.eye(3),
+                max(GYRO.correlated_s, (last.t_end - last.t_start) / _NS_PER_S),
+            )
+
+    def learn_bias(self, seen: SeenBias) -> None:
+        """Learn the bias from what the events show of it over some time."""
+        self._bias.update(self._bias.mean + seen.excess, seen.covariance, seen.seconds)
 
     def learn_at_rest(self) -> None:
         """Learn the bias from the window that was measured last, whose events show no motion.

@@ -45,14 +45,18 @@ class LatticeEstimator:
         imu: how good the gyro is whose readings the windows bring.
         whole: whether windows are always taken whole; else of one whose motion changes more than a
             fit can follow only the latest part is told, unless it starts cold or brings a gyro.
+        teaches_bias: whether its w teaches the gyro's bias.
+
+    Attributes:
+        gyro: beside it.
     """
 
     def __init__(
         self, camera: Camera, config: LatticeConfig, imu: GyroConfig | None = None, *,
-        whole: bool = True,
+        whole: bool = True, teaches_bias: bool = True,
     ) -> None:  # fmt: skip
         self.config = config
-        self._whole = whole
+        self._whole, self._teaches_bias = whole, teaches_bias
         self._image = WorkingImage.of(camera)
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
@@ -60,7 +64,7 @@ class LatticeEstimator:
         self._blend = Blend(self._image.camera, self.lattice, config.depth_drift)
         self._change = MotionChange(self._fit.contrasts[0.25])
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
-        self._gyro = Gyro(imu or GyroConfig())
+        self.gyro = Gyro(imu or GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
         self._events = WindowEvents(*np.zeros((4, 0), np.float32))
@@ -74,7 +78,7 @@ class LatticeEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
-        measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
+        measurement = self.gyro.measure(window.t_start, window.t_end, window.gyro)
         self._started = time.perf_counter()
         with self._threads.limit(limits=1, user_api="blas"):
             found = self._estimate(window, measurement, whole=self._whole)
@@ -127,8 +131,7 @@ class LatticeEstimator:
             if last is not None:
                 flows = last.flows(window)
                 if fit.known is not None:
-                    rotated = last.rotation(window)
-                    flows += [fit.rotated(flow, rotated) for flow in flows]
+                    flows += [fit.rotated(flow, last.rotation(window)) for flow in flows]
                 fit.flow = best_start(coarse, events, flows)
                 last.predict(fit, window)
                 self._model = last.model
@@ -282,10 +285,11 @@ class LatticeEstimator:
         self._last = Memory.of(window, fit, self._model)
         if window.gyro is not None:
             w, covariance = self._reader.rotation_of_events(self._free)
-            self._gyro.learn(w / window.duration, covariance / window.duration**2)
+            w, covariance = w / window.duration, covariance / window.duration**2
+            self.gyro.learn(w, covariance, teaches_bias=self._teaches_bias)
         return self._reader.read(
             window, self._free, self._model, self._possible, self._agreement, quality,
-            self._gyro.status,
+            self.gyro.status,
         )  # fmt: skip
 
     def _nothing(
@@ -294,7 +298,7 @@ class LatticeEstimator:
         """Report a window without a confident estimate; the next one starts cold."""
         self.reset()
         if status is not Status.DIVERGED:
-            self._gyro.learn_at_rest()
+            self.gyro.learn_at_rest()
         quality = Quality(used, self._iterations, str(status), gain)
         start, end = window.t_start, window.t_end
-        return Estimate(start, end, (start + end) // 2, status, quality, gyro=self._gyro.status)
+        return Estimate(start, end, (start + end) // 2, status, quality, gyro=self.gyro.status)

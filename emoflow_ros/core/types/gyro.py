@@ -94,3 +94,18 @@ class GyroStatus:
     def __str__(self) -> str:
         """For example `rejected (no readings)`."""
         return f"{self.state} ({self.reason})" if self.reason else str(self.state)
+
+
+@dataclass(frozen=True)
+class SeenBias:
+    """A gyro's bias as the events show it over some time, without what was known of it before.
+
+    Attributes:
+        excess: (3,) rad/s, over the bias that the gyro's angular velocities are already without.
+        covariance: (3, 3) of it.
+        seconds: of that time: what is seen nearer in time shares its errors.
+    """
+
+    excess: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    seconds: float

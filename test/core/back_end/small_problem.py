@@ -43,6 +43,7 @@ def prior(walk: float = 0.5, velocity_walk: float = 1.0) -> Prior:
     return Prior(
         np.diff(T) * 1e-9, walk**2, velocity_walk**2, 2.0,
         np.zeros((0, 3)), np.zeros((0, NODES)), np.zeros((0, 3, 3)), 20.0,
+        np.zeros(0, np.bool_), np.eye(3),
     )  # fmt: skip
 
 

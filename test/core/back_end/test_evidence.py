@@ -1,5 +1,7 @@
 """What the adjustment is told of windows: how they lie between the nodes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,3 +41,13 @@ def test_windows_beyond_the_nodes_tell_nothing():
     known = prior(T, (far,), Walks.unknown(BACK), BACK)
     assert known.measured.shape == (0, 3)
     assert known.measured_share.shape == (0, 3)
+
+
+def test_windows_of_a_gyro_share_the_newest_bias():
+    angular, root = np.ones(3), np.eye(3)
+    lattice = Measured(110 * NS_PER_MS, 130 * NS_PER_MS, angular, root, np.zeros(3))
+    older = replace(lattice, bias=np.eye(3))
+    newest = replace(lattice, bias=np.diag([0.5, 0.25, 0.2]))
+    known = prior(T, (lattice, older, newest), Walks.unknown(BACK), BACK)
+    assert known.measured_biased.tolist() == [False, True, True]
+    assert known.bias_information == pytest.approx(np.diag([2.0, 4.0, 5.0]))

@@ -22,7 +22,7 @@ from emoflow_ros.config import load_config
 from emoflow_ros.core.gyro.config import GyroConfig
 from emoflow_ros.core.gyro.gyro import Gyro
 from emoflow_ros.core.types.events import Events, Window
-from emoflow_ros.core.types.gyro import GyroReadings, GyroState
+from emoflow_ros.core.types.gyro import GyroReadings, GyroState, SeenBias
 from emoflow_ros.errors import InputError
 
 
@@ -145,6 +145,31 @@ def test_repeated_estimates_do_not_count_as_independent_ones():
         gyro.learn(turning(((t_start + t_end) / 2 - START) / S), np.radians(1.0) ** 2 * np.eye(3))
     claimed = np.degrees(np.sqrt(np.diag(gyro.bias_covariance)))
     assert (claimed > 0.45).all()  # thirteen independent ones of 1.1 deg/s would give 0.3
+
+
+def test_a_bias_that_is_seen_is_learnt_by_its_covariance():
+    gyro, b = Gyro(CONFIG), np.radians([0.9, -0.6, 0.3])
+    gyro.measure(START, START + WINDOW, noisy(lambda x: turning(x) + b))
+    before = gyro.bias_covariance
+    sure = np.radians(0.1) ** 2 * np.eye(3)
+    gyro.learn_bias(SeenBias(b, sure, 0.5))
+    assert gyro.bias == pytest.approx(b, rel=0.02)
+    both = np.linalg.inv(before) + np.linalg.inv(sure)
+    assert gyro.bias_covariance == pytest.approx(np.linalg.inv(both))
+    gyro.measure(START + 50 * MS, START + 50 * MS + WINDOW, noisy(lambda x: turning(x) + b))
+    left = gyro.bias_covariance
+    gyro.learn_bias(SeenBias(np.zeros(3), sure, 0.5))  # a tenth of the time later: a tenth of it
+    gained = np.linalg.inv(gyro.bias_covariance) - np.linalg.inv(left)
+    assert gained == pytest.approx(0.1 * np.linalg.inv(sure), rel=1e-6)
+
+
+def test_windows_that_do_not_teach_the_bias_are_judged_all_the_same():
+    gyro, found = Gyro(CONFIG), noisy(turning, seconds=3.2)
+    for t_start, t_end in windows(3.0):
+        gyro.measure(t_start, t_end, found)
+        gyro.learn(np.array([1.0, -1.0, 0.5]), np.radians(1.0) ** 2 * np.eye(3), teaches_bias=False)
+    assert not gyro.bias.any()
+    assert gyro.status.state is GyroState.REJECTED
 
 
 def test_outliers_do_not_move_the_bias():
