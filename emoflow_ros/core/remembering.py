@@ -111,8 +111,9 @@ class RememberingEstimator:
             window = replace(window, expected=expected)
         found = self._estimator.estimate(window)
         self._memory, estimate = self.step(memory, window, found)
-        state = self._memory.odometry
-        if self._learn_bias and state.bias is not None and state is not memory.odometry:
+        state, used = self._memory.odometry, found.gyro.state is GyroState.USED
+        is_new = state.bias is not None and state is not memory.odometry
+        if self._learn_bias is not None and used and is_new:
             self._learn_bias(told_bias(state, found.t, self._odometry.back))
         return estimate
 

@@ -30,17 +30,18 @@ def measured_by_window(
         camera: of the tracking image.
         settings: of the back end.
     """
-    parts, bias, variance = 1, None, variance_of_window(found, camera, settings)
+    parts, variance = 1, variance_of_window(found, camera, settings)
     if found.gyro.state is GyroState.USED:
-        parts, bias = settings.gyro_parts, found.covariance[3:, 3:]
-        variance = _own_variance(found)
+        parts = settings.gyro_parts
+    if found.gyro.bias is not None:
+        variance -= _variance(found.gyro.bias.covariance)
     angular, length = found.angular[None], found.t_end - found.t_start
     if found.motion is not None:
         angular = rotation_by_parts(found, parts) * (NS_PER_S / length)
     root = np.eye(3) / np.sqrt(len(angular) * variance)
     ends = found.t_start + np.arange(len(angular) + 1) * length // len(angular)
     return tuple(
-        Measured(int(begin), int(end), w, root, found.linear, bias)
+        Measured(int(begin), int(end), w, root, found.linear, found.gyro.bias)
         for begin, end, w in zip(ends[:-1], ends[1:], angular, strict=True)
     )
 
@@ -49,17 +50,16 @@ def variance_of_window(found: Estimate, camera: Camera, settings: BackEndSetting
     """Variance of what a window says of w about each axis, (rad/s)^2. Arguments as above."""
     own = np.radians(settings.lattice_sd_deg) ** 2
     if found.gyro.state is GyroState.USED:
-        own = _own_variance(found)
+        own = GYRO.floor**2 + GYRO.relative_floor**2 * float(found.angular @ found.angular)
     if found.flow is None:
         seconds = (found.t_end - found.t_start) / NS_PER_S
         own = (settings.unseen_px / (camera.fx * seconds)) ** 2
-    return max(0.0, float(np.trace(found.covariance[3:, 3:])) / 3) + float(own)
+    return _variance(found.covariance[3:, 3:]) + float(own)
 
 
-def _own_variance(found: Estimate) -> float:
-    """Variance of what a gyro says of w without its bias, (rad/s)^2."""
-    speed = float(np.linalg.norm(found.angular))
-    return GYRO.floor**2 + (GYRO.relative_floor * speed) ** 2
+def _variance(covariance: NDArray[np.float64]) -> float:
+    """Mean variance about the axes, (rad/s)^2; 0 where it is unknown."""
+    return max(0.0, float(np.trace(covariance)) / 3)
 
 
 def expected_by_memory(odometry: Odometry, state: State, image: WorkingImage) -> Expected | None:

@@ -11,9 +11,12 @@ from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.front_end.patches import Patches
 from emoflow_ros.core.types.events import NS_PER_S
+from emoflow_ros.core.types.gyro import KnownBias
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
+
+_LEAST = 1e-10  # variance of a bias, (rad/s)^2: one that is surely known
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class Measured:
         angular: (3,) rad/s, mean over the window.
         root: (3, 3) square root of the information on it.
         direction: (3,) of translation, zeros where unknown: a start, no evidence.
-        bias: (3, 3) covariance of the error that all windows of a gyro share; None of others.
+        bias: what was known of the bias of the gyro that measured; None if none did.
     """
 
     t_start: int
@@ -33,7 +36,7 @@ class Measured:
     angular: Array
     root: Array
     direction: Array
-    bias: Array | None = None
+    bias: KnownBias | None = None
 
     @property
     def t(self) -> int:
@@ -65,19 +68,26 @@ def prior(
 ) -> Prior:
     """Collect what is known of the motion at nodes (K,) ns besides the places of patches."""
     within = [m for m in measured if t[0] <= m.t <= t[-1]]
-    biases = [m.bias for m in within if m.bias is not None]
+    newest = next((m.bias for m in reversed(within) if m.bias is not None), None)
     return Prior(
         np.diff(t) / NS_PER_S,
         walks.angular,
         walks.velocity,
         settings.speed_sd,
-        np.array([m.angular for m in within]).reshape(-1, 3),
+        np.array([_without_bias(m, newest) for m in within]).reshape(-1, 3),
         np.array([_shares(t, m) for m in within]).reshape(-1, len(t)),
         np.array([m.root for m in within]).reshape(-1, 3, 3),
         settings.lattice_outlier,
         np.array([m.bias is not None for m in within], np.bool_),
-        np.linalg.inv(biases[-1]) if biases else np.eye(3),
+        np.eye(3) if newest is None else np.linalg.inv(newest.covariance + _LEAST * np.eye(3)),
     )
+
+
+def _without_bias(window: Measured, newest: KnownBias | None) -> Array:
+    """A window's angular velocity (3,) without the bias that is known by now."""
+    if window.bias is None or newest is None:
+        return window.angular
+    return np.asarray(window.angular + window.bias.mean - newest.mean)
 
 
 def _shares(t: Times, window: Measured) -> Array:

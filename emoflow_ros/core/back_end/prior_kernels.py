@@ -43,7 +43,7 @@ class Prior(NamedTuple):
     bias_information: Array
 
 
-class Bias(NamedTuple):
+class BiasEquations(NamedTuple):
     """Normal equations of the bias that measured angular velocities share.
 
     Attributes:
@@ -156,7 +156,8 @@ def _measured(
 
     A window's mean is that of the turns between the nodes within it, and of the newest angular
     velocity after them. So it holds the way, and the angular velocities at the nodes follow a hand
-    that trembles faster than a window is long. A bias is taken out of the equations (Schur).
+    that trembles faster than a window is long. A gyro's bias is taken out of the equations (Schur);
+    its measurements are no outliers.
     """
     cost, build, newest = 0.0, len(right) > 0, len(turn)
     rows = np.empty((newest + 2, 3, 3))  # by each rotation, and by the newest angular velocity
@@ -166,11 +167,13 @@ def _measured(
         residual, squares = prior.measured_root[m] @ error, 0.0
         for a in range(3):
             squares += residual[a] ** 2
-        bound = prior.measured_outlier**2
-        cost += 0.5 * squares / (1 + squares / bound)
-        weight = 1 / (1 + squares / bound) ** 2
+        biased, bound = prior.measured_biased[m], prior.measured_outlier**2
+        cost += 0.5 * squares if biased else 0.5 * squares / (1 + squares / bound)
+        if not (build or biased):
+            continue
+        weight = 1.0 if biased else 1 / (1 + squares / bound) ** 2
         information = weight * (prior.measured_root[m].T @ prior.measured_root[m])
-        if prior.measured_biased[m]:
+        if biased:
             _add_to_bias(bias, information, error, rows)
         if not build:
             continue
@@ -193,7 +196,7 @@ def _measured(
 
 
 @_compiled
-def gyro_bias(x: Unknowns, prior: Prior) -> Bias:
+def gyro_bias(x: Unknowns, prior: Prior) -> BiasEquations:
     """Normal equations of the bias that measured angular velocities share, along a way."""
     relative, turn = _turns(x)
     bias, rows = _no_bias(x, prior), np.empty((len(turn) + 2, 3, 3))
@@ -204,12 +207,14 @@ def gyro_bias(x: Unknowns, prior: Prior) -> Bias:
 
 
 @_compiled
-def _no_bias(x: Unknowns, prior: Prior) -> Bias:
-    return Bias(prior.bias_information.copy(), np.zeros(3), np.zeros((NODE * len(x.position), 3)))
+def _no_bias(x: Unknowns, prior: Prior) -> BiasEquations:
+    return BiasEquations(
+        prior.bias_information.copy(), np.zeros(3), np.zeros((NODE * len(x.position), 3))
+    )
 
 
 @_compiled
-def _add_to_bias(bias: Bias, information: Array, error: Array, rows: Array) -> None:
+def _add_to_bias(bias: BiasEquations, information: Array, error: Array, rows: Array) -> None:
     """Add a measurement; what is measured is the mean angular velocity and the bias."""
     bias.information[:] += information
     bias.right[:] -= information @ error

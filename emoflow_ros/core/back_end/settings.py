@@ -28,7 +28,7 @@ class ErrorLaw:
     angular: float = 130.0
     direction: float = 0.37
     of_gyro: float = 0.5
-    bias: float = 12.0
+    bias: float = 4.0
     first: float = 3.0
     share: float = 0.15
     usual_revision: float = 0.07

@@ -15,7 +15,14 @@ from emoflow_ros.core.gyro.checks import (
 from emoflow_ros.core.gyro.config import GyroConfig
 from emoflow_ros.core.gyro.measurement import GyroMeasurement, Shape, fit_shape
 from emoflow_ros.core.gyro.settings import GYRO
-from emoflow_ros.core.types.gyro import GyroFault, GyroReadings, GyroState, GyroStatus, SeenBias
+from emoflow_ros.core.types.gyro import (
+    GyroFault,
+    GyroReadings,
+    GyroState,
+    GyroStatus,
+    KnownBias,
+    SeenBias,
+)
 
 Array = NDArray[np.float64]
 
@@ -104,7 +111,7 @@ class Gyro:
         if self._rejected:
             self.status = self._disagreeing()
             return None
-        self.status = GyroStatus(GyroState.USED)
+        self.status = GyroStatus(GyroState.USED, bias=KnownBias(self.bias, self.bias_covariance))
         return self._last
 
     def learn(
@@ -135,8 +142,12 @@ class Gyro:
             )
 
     def learn_bias(self, seen: SeenBias) -> None:
-        """Learn the bias from what the events show of it over some time."""
-        self._bias.update(self._bias.mean + seen.excess, seen.covariance, seen.seconds)
+        """Learn the bias from what the events show of it over some time.
+
+        They are told from outliers already: one that is far from the expected bias counts, too.
+        """
+        difference = self._bias.mean + seen.excess
+        self._bias.update(difference, seen.covariance, seen.seconds, gated=False)
 
     def learn_at_rest(self) -> None:
         """Learn the bias from the window that was measured last, whose events show no motion.
@@ -250,18 +261,20 @@ class BiasFilter:
             self.covariance = 4 * self.covariance + self._start
 
     def update(
-        self, difference: Array, covariance: Array, repeat_s: float, *, at_rest: bool = False
-    ) -> None:
-        """Take the gyro's reading less the events' estimate; outliers are left out.
+        self, difference: Array, covariance: Array, repeat_s: float, *, at_rest: bool = False,
+        gated: bool = True,
+    ) -> None:  # fmt: skip
+        """Take the gyro's reading less the events' estimate.
 
         Args:
             difference: (3,) rad/s.
             covariance: (3, 3) of all in it but the bias.
             repeat_s: tau, s.
             at_rest: what it is learnt from; the updates of each kind repeat their errors.
+            gated: whether outliers are left out.
         """
         apart = difference - self.mean
-        if apart @ np.linalg.solve(self.covariance + covariance, apart) > UNLIKELY_3:
+        if gated and apart @ np.linalg.solve(self.covariance + covariance, apart) > UNLIKELY_3:
             return
         repeated = max(1.0, repeat_s / max(self._since_update[at_rest], 1e-3))
         noise = repeated * covariance

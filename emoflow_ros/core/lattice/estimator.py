@@ -32,6 +32,7 @@ from emoflow_ros.core.lattice.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.types.events import Window
+from emoflow_ros.core.types.gyro import GyroState
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ class LatticeEstimator:
         imu: how good the gyro is whose readings the windows bring.
         whole: whether windows are always taken whole; else of one whose motion changes more than a
             fit can follow only the latest part is told, unless it starts cold or brings a gyro.
-        teaches_bias: whether its w teaches the gyro's bias.
+        teaches_bias: whether its w teaches the bias of a gyro that is used.
 
     Attributes:
         gyro: beside it.
@@ -286,7 +287,8 @@ class LatticeEstimator:
         if window.gyro is not None:
             w, covariance = self._reader.rotation_of_events(self._free)
             w, covariance = w / window.duration, covariance / window.duration**2
-            self.gyro.learn(w, covariance, teaches_bias=self._teaches_bias)
+            teaches = self._teaches_bias or self.gyro.status.state is not GyroState.USED
+            self.gyro.learn(w, covariance, teaches_bias=teaches)
         return self._reader.read(
             window, self._free, self._model, self._possible, self._agreement, quality,
             self.gyro.status,

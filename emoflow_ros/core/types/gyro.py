@@ -3,7 +3,7 @@
 Readings are on the events' clock and in the camera's optical frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -85,11 +85,25 @@ class GyroState(StrEnum):
 
 
 @dataclass(frozen=True)
+class KnownBias:
+    """What is known of a gyro's bias.
+
+    Attributes:
+        mean: (3,) rad/s, which the gyro's angular velocities are without.
+        covariance: (3, 3) of it, which is in theirs.
+    """
+
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class GyroStatus:
-    """The state of the gyro, and why it is not used."""
+    """The state of the gyro, why it is not used, and its bias where it is."""
 
     state: GyroState = GyroState.NONE
     reason: str = ""
+    bias: KnownBias | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         """For example `rejected (no readings)`."""
@@ -101,7 +115,7 @@ class SeenBias:
     """A gyro's bias as the events show it over some time, without what was known of it before.
 
     Attributes:
-        excess: (3,) rad/s, over the bias that the gyro's angular velocities are already without.
+        excess: (3,) rad/s, over the bias that was known in the newest window.
         covariance: (3, 3) of it.
         seconds: of that time: what is seen nearer in time shares its errors.
     """

@@ -9,6 +9,7 @@ from emoflow_ros.core.back_end.evidence import Measured, prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.walks import Walks
 from emoflow_ros.core.types.events import NS_PER_MS
+from emoflow_ros.core.types.gyro import KnownBias
 
 BACK = BackEndSettings()
 T = np.array([100, 140, 200]) * NS_PER_MS
@@ -43,11 +44,12 @@ def test_windows_beyond_the_nodes_tell_nothing():
     assert known.measured_share.shape == (0, 3)
 
 
-def test_windows_of_a_gyro_share_the_newest_bias():
-    angular, root = np.ones(3), np.eye(3)
-    lattice = Measured(110 * NS_PER_MS, 130 * NS_PER_MS, angular, root, np.zeros(3))
-    older = replace(lattice, bias=np.eye(3))
-    newest = replace(lattice, bias=np.diag([0.5, 0.25, 0.2]))
+def test_windows_of_a_gyro_are_without_the_newest_bias():
+    lattice = Measured(110 * NS_PER_MS, 130 * NS_PER_MS, np.ones(3), np.eye(3), np.zeros(3))
+    older = replace(lattice, bias=KnownBias(np.array([0.1, 0.0, 0.0]), np.eye(3)))
+    newest = replace(lattice, bias=KnownBias(np.array([0.3, -0.2, 0.0]), np.diag([0.5, 0.25, 0.2])))
     known = prior(T, (lattice, older, newest), Walks.unknown(BACK), BACK)
     assert known.measured_biased.tolist() == [False, True, True]
     assert known.bias_information == pytest.approx(np.diag([2.0, 4.0, 5.0]))
+    expected = np.array([[1.0, 1.0, 1.0], [0.8, 1.2, 1.0], [1.0, 1.0, 1.0]])
+    assert known.measured == pytest.approx(expected)

@@ -163,6 +163,16 @@ def test_a_bias_that_is_seen_is_learnt_by_its_covariance():
     assert gained == pytest.approx(0.1 * np.linalg.inv(sure), rel=1e-6)
 
 
+@pytest.mark.parametrize("bias", [2.0, 8.0])
+def test_a_bias_is_learnt_though_it_is_far_from_what_is_expected(bias: float):
+    gyro, b, sd = Gyro(CONFIG), np.radians([bias, 0.0, -bias]), np.radians(0.3)
+    for t_start, t_end in windows(3.0):
+        gyro.measure(t_start, t_end, noisy(lambda x: turning(x) + b, seconds=3.2))
+        known = gyro.status.bias
+        gyro.learn_bias(SeenBias(b - known.mean, sd**2 * np.eye(3), 0.5))
+    assert np.degrees(gyro.bias - b) == pytest.approx(np.zeros(3), abs=0.2 * bias)
+
+
 def test_windows_that_do_not_teach_the_bias_are_judged_all_the_same():
     gyro, found = Gyro(CONFIG), noisy(turning, seconds=3.2)
     for t_start, t_end in windows(3.0):
