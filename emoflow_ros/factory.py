@@ -31,6 +31,7 @@ def make_estimator(camera: Camera, config: Config) -> Estimator:
 
 
 def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConfig) -> Estimator:
+    from emoflow_ros.core.gyro.gyro import Gyro
     from emoflow_ros.core.lattice.estimator import LatticeEstimator
     from emoflow_ros.core.lattice.motion_windows import MotionWindows
     from emoflow_ros.core.products.continuous import ContinuousEstimator
@@ -38,15 +39,12 @@ def _make_lattice_estimator(camera: Camera, config: Config, lattice: LatticeConf
     from emoflow_ros.core.stream.cleaning import CleanWindows
 
     by_motion = config.window.max_displacement_px > 0
-    fit = LatticeEstimator(
-        camera, lattice, config.imu, whole=not by_motion, teaches_bias=not lattice.remembers
-    )
+    gyro = Gyro(config.imu, by_windows=not lattice.remembers)
+    fit = LatticeEstimator(camera, lattice, gyro, whole=not by_motion)
     estimator: Estimator = fit
     if by_motion:
         estimator = MotionWindows(estimator, camera, config.window)
     if lattice.remembers:
-        estimator = RememberingEstimator(
-            estimator, camera, fit.refined, learn_bias=fit.gyro.learn_bias
-        )
+        estimator = RememberingEstimator(estimator, camera, fit.refined, learn_bias=gyro.learn_bias)
     estimator = ContinuousEstimator(estimator, camera, lattice)
     return CleanWindows(estimator, camera)

@@ -82,7 +82,10 @@ class ToldMotion:
 
 
 def told_bias(state: State, t: int, settings: BackEndSettings) -> SeenBias:
-    """Tell a gyro's bias by positions: its covariance grows with misfit, and as w's by parts.
+    """Tell a gyro's bias by positions.
+
+    Its covariance grows with the misfit, and by how far w differs between ways and between parts of
+    the image.
 
     Args:
         state: of the memory, with a bias.

@@ -43,14 +43,17 @@ class Gyro:
 
     Args:
         config: how good the gyro is.
+        by_windows: whether `learn` teaches the bias of a gyro that is used, too; else `learn_bias`
+            does.
 
     Attributes:
         status: of the window that was measured last.
         disagreement: share of the recent windows in which gyro and events disagree.
     """
 
-    def __init__(self, config: GyroConfig) -> None:
+    def __init__(self, config: GyroConfig, *, by_windows: bool = True) -> None:
         self.config = config
+        self._by_windows = by_windows
         self.status = GyroStatus()
         self.disagreement = 0.0
         self._bias = BiasFilter(config)
@@ -114,15 +117,12 @@ class Gyro:
         self.status = GyroStatus(GyroState.USED, bias=KnownBias(self.bias, self.bias_covariance))
         return self._last
 
-    def learn(
-        self, w_events: Array, covariance_events: Array, *, teaches_bias: bool = True
-    ) -> None:
+    def learn(self, w_events: Array, covariance_events: Array) -> None:
         """Compare the window that was measured last with what its events tell, without the gyro.
 
         Args:
             w_events: (3,) rad/s, in the middle of the interval that was measured.
             covariance_events: (3, 3) of it.
-            teaches_bias: whether the bias is learnt from it, too; else by `learn_bias`.
         """
         last = self._last
         if last is None or not (
@@ -133,8 +133,9 @@ class Gyro:
         speed = max(float(np.linalg.norm(last.middle)), float(np.linalg.norm(w_events)))
         known = covariance_events + self._own + GYRO.floor**2 * np.eye(3)
         self._guess.add(last.middle + self._bias.mean, w_events)
+        teaches = self._by_windows or self._rejected
         self._judge(last.middle - w_events, known, speed, last.t_end)
-        if teaches_bias:
+        if teaches:
             self._bias.update(
                 last.middle + self._bias.mean - w_events,
                 known + (GYRO.relative_floor * speed) ** 2 * np.eye(3),

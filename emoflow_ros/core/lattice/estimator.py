@@ -32,7 +32,6 @@ from emoflow_ros.core.lattice.uncertainty import PossibleMotions, temperature
 from emoflow_ros.core.lattice.window_events import WindowEvents
 from emoflow_ros.core.types.estimate import Estimate, MotionModel, Quality, Status
 from emoflow_ros.core.types.events import Window
-from emoflow_ros.core.types.gyro import GyroState
 
 Array = NDArray[np.float64]
 
@@ -43,21 +42,17 @@ class LatticeEstimator:
     Args:
         camera: with its lens.
         config: see LatticeConfig.
-        imu: how good the gyro is whose readings the windows bring.
+        gyro: whose readings the windows bring.
         whole: whether windows are always taken whole; else of one whose motion changes more than a
             fit can follow only the latest part is told, unless it starts cold or brings a gyro.
-        teaches_bias: whether its w teaches the bias of a gyro that is used.
-
-    Attributes:
-        gyro: beside it.
     """
 
     def __init__(
-        self, camera: Camera, config: LatticeConfig, imu: GyroConfig | None = None, *,
-        whole: bool = True, teaches_bias: bool = True,
+        self, camera: Camera, config: LatticeConfig, gyro: Gyro | None = None, *,
+        whole: bool = True,
     ) -> None:  # fmt: skip
         self.config = config
-        self._whole, self._teaches_bias = whole, teaches_bias
+        self._whole = whole
         self._image = WorkingImage.of(camera)
         self.lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self.lattice, config.dec_inlier_px)
@@ -65,7 +60,7 @@ class LatticeEstimator:
         self._blend = Blend(self._image.camera, self.lattice, config.depth_drift)
         self._change = MotionChange(self._fit.contrasts[0.25])
         self._reader = EstimateReader(self._image, self._epipolar, self._fit, config)
-        self.gyro = Gyro(imu or GyroConfig())
+        self._gyro = gyro or Gyro(GyroConfig())
         # The systems are small: threads of the linear algebra library would only spin.
         self._threads = ThreadpoolController()
         self._events = WindowEvents(*np.zeros((4, 0), np.float32))
@@ -79,7 +74,7 @@ class LatticeEstimator:
 
     def estimate(self, window: Window) -> Estimate:
         """Fit flow and egomotion to one window."""
-        measurement = self.gyro.measure(window.t_start, window.t_end, window.gyro)
+        measurement = self._gyro.measure(window.t_start, window.t_end, window.gyro)
         self._started = time.perf_counter()
         with self._threads.limit(limits=1, user_api="blas"):
             found = self._estimate(window, measurement, whole=self._whole)
@@ -286,12 +281,10 @@ class LatticeEstimator:
         self._last = Memory.of(window, fit, self._model)
         if window.gyro is not None:
             w, covariance = self._reader.rotation_of_events(self._free)
-            w, covariance = w / window.duration, covariance / window.duration**2
-            teaches = self._teaches_bias or self.gyro.status.state is not GyroState.USED
-            self.gyro.learn(w, covariance, teaches_bias=teaches)
+            self._gyro.learn(w / window.duration, covariance / window.duration**2)
         return self._reader.read(
             window, self._free, self._model, self._possible, self._agreement, quality,
-            self.gyro.status,
+            self._gyro.status,
         )  # fmt: skip
 
     def _nothing(
@@ -300,7 +293,7 @@ class LatticeEstimator:
         """Report a window without a confident estimate; the next one starts cold."""
         self.reset()
         if status is not Status.DIVERGED:
-            self.gyro.learn_at_rest()
+            self._gyro.learn_at_rest()
         quality = Quality(used, self._iterations, str(status), gain)
         start, end = window.t_start, window.t_end
-        return Estimate(start, end, (start + end) // 2, status, quality, gyro=self.gyro.status)
+        return Estimate(start, end, (start + end) // 2, status, quality, gyro=self._gyro.status)

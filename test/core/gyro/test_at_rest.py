@@ -135,7 +135,7 @@ def test_a_camera_at_rest_does_not_turn_once_its_bias_is_known(still, count, rea
     sway = 0.0 if still else np.radians(0.5)
     found = noisy(lambda x: BIAS + sway * np.sin(20 * x), seconds=1.2)
     camera = Camera(240, 180, 200.0, 200.0, 120.0, 90.0)
-    estimator = LatticeEstimator(camera, LatticeConfig(), imu=CONFIG)
+    estimator = LatticeEstimator(camera, LatticeConfig(), Gyro(CONFIG))
     rng = np.random.default_rng(0)
     for t_start, t_end in windows(1.0):
         x, y = (rng.integers(0, n, count).astype(np.uint16) for n in camera.size)

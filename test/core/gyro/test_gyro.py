@@ -174,12 +174,15 @@ def test_a_bias_is_learnt_though_it_is_far_from_what_is_expected(bias: float):
 
 
 def test_windows_that_do_not_teach_the_bias_are_judged_all_the_same():
-    gyro, found = Gyro(CONFIG), noisy(turning, seconds=3.2)
+    gyro, found, taught = Gyro(CONFIG, by_windows=False), noisy(turning, seconds=3.2), []
     for t_start, t_end in windows(3.0):
         gyro.measure(t_start, t_end, found)
-        gyro.learn(np.array([1.0, -1.0, 0.5]), np.radians(1.0) ** 2 * np.eye(3), teaches_bias=False)
-    assert not gyro.bias.any()
-    assert gyro.status.state is GyroState.REJECTED
+        before, state = gyro.bias, gyro.status.state
+        gyro.learn(before + np.array([0.2, -0.2, 0.1]), np.radians(3.0) ** 2 * np.eye(3))
+        taught.append((state, (gyro.bias != before).any()))
+    assert (GyroState.USED, False) in taught
+    assert (GyroState.USED, True) not in taught  # nor is it kept from those of one that is rejected
+    assert (GyroState.REJECTED, True) in taught
 
 
 def test_outliers_do_not_move_the_bias():
