@@ -1,7 +1,6 @@
-"""Inverse depths between the points where they are known, by local linear regression.
+"""Inverse depths between the points where they are known: means, weighted by nearness.
 
-So a floor goes on where it is blank: the inverse depth of a plane is linear in the image of a lens
-without distortion (Cleveland and Devlin, JASA 1988).
+The kernel regression of Nadaraya, Theory of Probability and Its Applications, 1964.
 """
 
 from dataclasses import replace
@@ -59,27 +58,13 @@ class BetweenDepths:
 
         Points are handed on to the nodes around them first: there may be a thousand.
         """
-        points, rho, lattice = depths.points, depths.inverse_depth, self._lattice
-        middle = points.mean(axis=0)
-        x, y = (points - middle).T
-        known = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, rho, rho * x, rho * y])
-        known *= depths.weight
-        at_nodes = (shares @ known.T).T
-        at_nodes = at_nodes.reshape(-1, lattice.columns, lattice.rows)
-        sums = sum(
+        known = np.stack([np.ones_like(depths.inverse_depth), depths.inverse_depth])
+        at_nodes = np.ascontiguousarray((shares @ (depths.weight * known).T).T)
+        at_nodes = at_nodes.reshape(-1, self._lattice.columns, self._lattice.rows)
+        number, total = sum(
             weight * (by_column @ at_nodes @ by_row) for weight, by_column, by_row in self._spreads
         )
-        number, tiny = sums[0], np.finfo(float).tiny
-        _, x, y, xx, xy, yy, mean, rx, ry = sums / np.maximum(number, tiny)
-        own = LATTICE.slope_px**2
-        xx, xy, yy = xx - x * x + own, xy - x * y, yy - y * y + own
-        rx, ry = rx - mean * x, ry - mean * y
-        columns, rows = self.axes
-        to_x, to_y = (columns - middle[0])[:, None] - x, rows - middle[1] - y
-        slope = (yy * rx - xy * ry) * to_x + (xx * ry - xy * rx) * to_y
-        found = mean + slope / (xx * yy - xy * xy)
-        counts = rho[depths.weight > 0.1 * depths.weight.max()]
-        found = np.clip(found, counts.min() / LATTICE.beyond, counts.max() * LATTICE.beyond)
+        found = total / np.maximum(number, np.finfo(float).tiny)
         return found, 2 * np.pi * LATTICE.depth_reaches[0][0] ** 2 * number
 
 

@@ -82,8 +82,6 @@ class LatticeSettings:
         closer: number of nodes of a blended flow for each one of the lattice, along an axis.
         depth_reaches: standard deviations of the distance to known depths, px, and how much they
             count: the wide ones where none is near.
-        slope_px: standard deviation of the places of near depths from which their slope counts, px.
-        beyond: factor by which inverse depths between points may lie beyond the known ones.
         farther: a known depth counts by the square of its distance over that around it, as far as
             this factor.
         blend_px: standard deviation of the distance within which contrasts of two flows are
@@ -144,8 +142,6 @@ class LatticeSettings:
     hardly: float = 0.6
     closer: int = 3
     depth_reaches: tuple[tuple[float, float], ...] = ((8.0, 1.0), (24.0, 0.03), (80.0, 0.003))
-    slope_px: float = 14.0
-    beyond: float = 2.0
     farther: float = 2.0
     blend_px: float = 16.0
     blend_power: float = 8.0
