@@ -18,6 +18,7 @@ from emoflow_ros.core.back_end.hypotheses import Hypotheses
 from emoflow_ros.core.back_end.jackknife import spread, without_quarters
 from emoflow_ros.core.back_end.scene import (
     Grid,
+    at_second,
     deformations,
     depths_now,
     expected_places,
@@ -231,7 +232,7 @@ class Odometry:
         hypotheses = state.hypotheses
         assert x is not None
         while (node := superfluous_node(times, self.back)) is not None:
-            patches = patches.without(node, depths_now(patches, x, self.back.depths, second=True))
+            patches = patches.without(node, *at_second(patches, x, self.back.depths))
             x, times = without_node(x, node), np.delete(times, node)
             hypotheses = hypotheses and hypotheses.without_node(node)
         measured = tuple(m for m in state.measured if m.t > times[0]) + hint.measured

@@ -74,7 +74,8 @@ class RememberingEstimator:
     Args:
         estimator: of the windows' flow.
         camera: whose pixels the events lie on.
-        refine: fits the flow of a window again, once its motion is known, and tells what it shows.
+        refine: fits the flow of a window again, once its motion is known, and tells what it shows;
+            the estimator's next window starts from that flow.
         learn_bias: takes what is seen of a gyro's bias.
         front: settings of the front end.
         back: settings of the back end.

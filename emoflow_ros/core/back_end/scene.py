@@ -80,14 +80,29 @@ def rigid_flow(
     return (grid.b @ angular + inverse_depth * (grid.a @ linear)).astype(np.float32)
 
 
-def depths_now(
-    patches: Patches, x: Unknowns, bounds: tuple[float, float], *, second: bool = False
-) -> Array:
-    """Inverse depths (N,) at the newest node, or at the second slice that shows each patch."""
-    nodes = np.full(len(patches), len(x.position) - 1)
-    if second:
-        nodes = patches.second
-    points = _points(patches, x, patches.inverse_depth, nodes)
+def depths_now(patches: Patches, x: Unknowns, bounds: tuple[float, float]) -> Array:
+    """Inverse depths (N,) at the newest node."""
+    points = _points(patches, x, patches.inverse_depth, np.full(len(patches), len(x.position) - 1))
+    return _depths(patches, points, bounds)
+
+
+def at_second(patches: Patches, x: Unknowns, bounds: tuple[float, float]) -> tuple[Array, Array]:
+    """Where the way puts patches in the second slice that shows each.
+
+    Returns:
+        Bearings (N, 2) on the undistorted normalised plane, as found there where the depth is
+        unknown or the way leads past the patch; inverse depths (N,), NaN where unknown.
+    """
+    second = patches.second
+    points = _points(patches, x, patches.inverse_depth, second)
+    ahead = points[:, 2:] > _NEAREST  # not where it is NaN
+    by_way = points[:, :2] / np.maximum(points[:, 2:], _NEAREST)
+    bearings = np.where(ahead, by_way, patches.seen[np.arange(len(patches)), second])
+    return bearings, _depths(patches, points, bounds)
+
+
+def _depths(patches: Patches, points: Array, bounds: tuple[float, float]) -> Array:
+    """Inverse depths (N,) of points (N, 3), over the depth at their first slice."""
     return np.clip(patches.inverse_depth / np.maximum(points[:, 2], _NEAREST), *bounds)
 
 

@@ -26,7 +26,8 @@ class Patches:
         shape: (N, 2, 2) what the motion, as it was expected from slice to slice, has made of
             offsets (x, y) px in the first appearance.
         place: (N, 2) px of the tracking image, where it is, or should be: off the image if unknown.
-        seen: (N, K, 2) on the undistorted normalised plane.
+        seen: (N, K, 2) on the undistorted normalised plane; the first is where the way put it
+            once an earlier one was forgotten.
         root: (N, K, 2, 2) square root of the information there.
         found: (N, K) whether it was seen.
         inverse_depth: (N,) at the first of the slices that shows it, over the median one; NaN
@@ -100,18 +101,24 @@ class Patches:
         """Those of a mask (N,)."""
         return Patches(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
-    def without(self, node: int, depths: Array) -> "Patches":
+    def without(self, node: int, bearings: Array, depths: Array) -> "Patches":
         """Forget a slice, and patches that no other one shows.
+
+        Later places are held against the first. When that is forgotten, the next one becomes it,
+        but where the way puts the patch: an error of what was found there would be in all later
+        ones.
 
         Args:
             node: which of the K slices.
-            depths: (N,) inverse depths at the second slice that shows each.
+            bearings, depths: (N, 2) and inverse depths (N,) in the second slice that shows each.
         """
         moved = self.first == node
         others = np.arange(self.found.shape[1]) != node
+        seen = self.seen.copy()
+        seen[moved, self.second[moved]] = bearings[moved]
         kept = replace(
             self,
-            seen=self.seen[:, others],
+            seen=seen[:, others],
             root=self.root[:, others],
             found=self.found[:, others],
             inverse_depth=np.where(moved, depths, self.inverse_depth),

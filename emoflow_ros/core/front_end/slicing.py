@@ -36,7 +36,7 @@ def slices(
     new = (until - since) / NS_PER_S
     count = min(most, max(1, math.ceil(new / length)))
     if count > 1:
-        length = new / count
+        length = min(new / count, settings.longest_slice_s)
     for k in range(count):
         end = since + (until - since) * (k + 1) // count
         begin = end - round(length * NS_PER_S)

@@ -81,7 +81,7 @@ class LatticeEstimator:
         return with_gyro(found, measurement, self.config)
 
     def refined(self, estimate: Estimate, depths: Depths) -> tuple[Estimate, ShownFlow | None]:
-        """Fit the flow of the last window again; where nothing was fitted, take a rigid scene's.
+        """Fit the last window's flow again, for the next to start from, or take a rigid scene's.
 
         Args:
             estimate: of the window, with a motion.
@@ -98,6 +98,8 @@ class LatticeEstimator:
             if rigid is not None:
                 begin, structure = blend.start(events, begin, rigid), rigid.structure
             found = refined(self._fit, begin, events, estimate, structure)
+            if found is not None and self._last is not None:  # the next window starts from it
+                self._last = replace(self._last, flow=found.flow)
             if rigid is not None and found is not None:
                 lattice, flow = blend.fine, blend(events, found.flow, rigid)
             elif rigid is not None and estimate.flow is None:
@@ -116,8 +118,7 @@ class LatticeEstimator:
         events = prepare(window, self._image, self.config)
         if events is None:
             return self._nothing(window, 0, Status.TOO_FEW_EVENTS)
-        fit, last = self._fit, self._last
-        self._events = events
+        fit, last, self._events = self._fit, self._last, events
         if last is None or not last.reaches(window):
             last = Memory.expected(window, fit, self._image.sensor_px)
         fit.known = KnownRotation.measured(measurement, window.duration) if measurement else None

@@ -184,10 +184,11 @@ def test_the_oldest_slice_is_forgotten_with_what_only_it_shows():
     patches = first(image)
     found = follow(patches, slice_of(moved(image, 1, 0), 10**7), patches.place, CAMERA, SETTINGS)
     lost = ~found.shown
-    kept = found.without(0, np.full(len(found), 0.7))
+    kept = found.without(0, np.full((len(found), 2), 0.2), np.full(len(found), 0.7))
     assert len(kept) == len(found) - lost.sum()
     assert kept.found.shape[1] == 1
     assert (kept.inverse_depth == 0.7).all()
+    assert (kept.seen == 0.2).all()  # where the way puts them, not where they were found
 
 
 def test_a_slice_between_others_is_forgotten_without_moving_depths():
@@ -197,7 +198,7 @@ def test_a_slice_between_others_is_forgotten_without_moving_depths():
         later = slice_of(moved(image, k, 0), k * 10**7)
         patches = follow(patches, later, patches.place, CAMERA, SETTINGS)
     patches = replace(patches, inverse_depth=np.full(len(patches), 0.4))
-    kept = patches.without(1, np.full(len(patches), 0.7))
+    kept = patches.without(1, np.full((len(patches), 2), 0.2), np.full(len(patches), 0.7))
     assert len(kept) == len(patches)
     assert (kept.inverse_depth == 0.4).all()
     assert (kept.seen == patches.seen[:, [0, 2]]).all()

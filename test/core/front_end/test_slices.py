@@ -103,6 +103,15 @@ def test_slices_are_as_long_as_the_motion_takes_for_some_pixels(speed, most, num
         assert float(s.dt.max() - s.dt.min()) * 1e3 == pytest.approx(length_ms, abs=0.1)
 
 
+def test_after_a_gap_no_slice_is_longer_than_the_longest():
+    settings = FrontEndSettings()
+    since, until, flow = 50 * NS_PER_MS, 350 * NS_PER_MS, constant_flow(40.0)
+    made = list(slices(stream(0.4), since, until, flow, np.ones(2), 2, settings))
+    assert len(made) == 2
+    for s in made:
+        assert float(s.dt.max() - s.dt.min()) == pytest.approx(settings.longest_slice_s, abs=1e-4)
+
+
 def test_a_slice_before_the_first_event_is_left_out():
     made = list(
         slices(

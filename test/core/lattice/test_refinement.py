@@ -74,6 +74,20 @@ def test_with_the_true_motion_the_flow_comes_nearer_to_the_truth(scene):
     assert np.mean(after[2:]) < 0.96 * np.mean(before[2:])
 
 
+def test_the_next_window_starts_from_the_flow_that_was_fitted_again():
+    recording, windows = windows_of("calm")
+    estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
+    found = estimator.estimate(windows[0])
+    before = estimator._last
+    again, _ = estimator.refined(told(recording, found), NONE)
+    after = estimator._last
+    assert before is not None and after is not None and again.flow is not None
+    assert (before.flow == estimator._fit.flow).all()
+    assert after.flow == pytest.approx(again.flow.values)
+    assert np.abs(after.flow - before.flow).max() > 0.1
+    assert after.motion is before.motion
+
+
 def test_a_flow_that_cannot_be_fitted_stays_as_it_was():
     recording, windows = windows_of("calm")
     estimator = LatticeEstimator(recording.camera, CONFIG.estimator)
