@@ -179,8 +179,7 @@ class Odometry:
         return self._window(replace(ahead, patches=patches), events.t, hint), picture
 
     def _begin(self, state: State, events: SliceEvents, hint: Hint) -> tuple[State, Slice]:
-        size = self.camera.size
-        picture = Slice.of(events.t, drawn(events, hint.flow, size), hint.flow)
+        picture = Slice.of(events.t, drawn(events, hint.flow, self.camera.size), hint.flow)
         velocity = self.back.start_speed * hint.direction
         state = replace(
             state,
