@@ -15,7 +15,7 @@ from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.bias import seen_bias
 from emoflow_ros.core.back_end.evidence import Measured, observations, prior
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
-from emoflow_ros.core.back_end.jackknife import spread, without_quarters
+from emoflow_ros.core.back_end.jackknife import ByParts
 from emoflow_ros.core.back_end.scene import (
     Grid,
     at_second,
@@ -28,11 +28,9 @@ from emoflow_ros.core.back_end.search import best, rotating, starts
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import (
     MotionAt,
-    between,
     carried_on,
     first_node,
     interpolated,
-    mixed,
     motion_at,
     superfluous_node,
     without_node,
@@ -78,7 +76,7 @@ class State:
         walks: how restless the camera is.
         adjusted: of the last step; None while patches are too few.
         hypotheses: ways that are possible at these nodes; None as well.
-        changes: (K, 4, 3) rad/s of w at these nodes without a quarter of the patches; likewise.
+        parts: what parts of the patches make of that motion; likewise.
         bias: of the gyro, by the last adjustment; None without one.
     """
 
@@ -89,7 +87,7 @@ class State:
     measured: tuple[Measured, ...] = ()
     adjusted: Adjusted | None = None
     hypotheses: Hypotheses | None = None
-    changes: Array | None = None
+    parts: ByParts | None = None
     bias: SeenBias | None = None
 
     def motion(self, t: int) -> MotionAt | None:
@@ -100,15 +98,17 @@ class State:
         return replace(motion_at(self.t, self.adjusted, t), angular=angular, linear=linear)
 
     def spread(self, t: int) -> tuple[Array, Array]:
-        """How far the ways lie apart at a time (ns), and how far w rests on parts of the image.
+        """How far the ways lie apart at a time (ns), and how far they rest on parts of the patches.
 
         Returns:
-            Covariances (3, 3) of the angular velocity, rad^2/s^2, of both, and of the direction of
-            translation, rad^2, of the first.
+            Covariances (3, 3) of the angular velocity, rad^2/s^2, and of the direction of
+            translation, rad^2.
         """
-        assert self.hypotheses is not None and self.changes is not None
-        of_w, of_v = self.hypotheses.spread(self.t, t)
-        return of_w + spread(mixed(self.changes, *between(self.t, t))), of_v
+        assert self.hypotheses is not None and self.parts is not None
+        linear = interpolated(self.t, self.hypotheses.mean, t)[1]
+        by_ways = self.hypotheses.spread(self.t, t)
+        by_parts = self.parts.spread(self.t, t, linear)
+        return by_ways[0] + by_parts[0], by_ways[1] + by_parts[1]
 
 
 class Odometry:
@@ -244,7 +244,7 @@ class Odometry:
         back, patches, x = self.back, state.patches, state.x
         used = patches.found.sum(axis=1) >= 2
         if len(state.t) < 3 or used.sum() < back.fewest_patches or x is None:
-            return replace(state, adjusted=None, hypotheses=None, changes=None, bias=None)
+            return replace(state, adjusted=None, hypotheses=None, parts=None, bias=None)
         some = patches.at(used)
         problem = observations(some, back)
         known = prior(state.t, state.measured, state.walks, back)
@@ -265,7 +265,7 @@ class Odometry:
         if rotated is not None and rotated.cost - found.cost < back.rotation_cost * len(some):
             found = rotated
         hypotheses = Hypotheses.weighed(found, others, back)
-        changes = without_quarters(problem, found, back)
+        parts = ByParts.of(problem, found, known, back)
         found = found.of_unit_depth()
         try:
             walks = state.walks.learnt(found, known.seconds, back)
@@ -282,7 +282,7 @@ class Odometry:
             walks=walks,
             adjusted=found,
             hypotheses=hypotheses,
-            changes=changes,
+            parts=parts,
             bias=bias,
         )
 

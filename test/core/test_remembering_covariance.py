@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from test_remembering import Run, run_of
 
-from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
+from emoflow_ros.core.back_end.adjustment_kernels import Unknowns, rotated
 from emoflow_ros.core.back_end.consistency import Experience, variance_by_gyro
 from emoflow_ros.core.back_end.hypotheses import Hypotheses
+from emoflow_ros.core.back_end.jackknife import ByParts
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import interpolated
 from emoflow_ros.core.front_end.patches import Patches
@@ -130,15 +131,23 @@ def test_what_rests_on_a_part_of_the_image_is_spread_as_other_ways_are(
     for window in calm.windows[:4]:
         memory, _ = reader.step(memory, window, lattice.estimate(window))
     state = memory.odometry
-    assert state.changes is not None
-    assert (np.abs(state.changes).max(axis=(0, 2)) > 0).all()  # each quarter tells something
+    assert state.parts is not None
+    assert state.parts.farther is not None
+    assert (np.abs(state.parts.changes).max(axis=(0, 2)) > 0).all()  # each quarter tells something
     of_ways = np.diag([0.3, 0.2, 0.1])
     monkeypatch.setattr(Hypotheses, "spread", lambda *_: (of_ways, V_ONLY))
     growing = np.linspace(0, 1, len(state.t))  # from node to node
-    state = replace(state, changes=growing[:, None, None] * np.eye(4, 3))
+    assert state.hypotheses is not None
+    turned = rotated(np.eye(3), np.array([0.0, 0.0, 0.2]))
+    mean = state.hypotheses.mean
+    farther = mean._replace(velocity=mean.velocity @ turned.T)
+    state = replace(state, parts=ByParts(growing[:, None, None] * np.eye(4, 3), farther))
+    linear, apart = (interpolated(state.t, x, int(state.t[-1]))[1] for x in (mean, farther))
+    angle = np.arccos(linear @ apart / np.linalg.norm(linear) / np.linalg.norm(apart))
     of_w, of_v = state.spread(int(state.t[-1]))
     assert of_w == pytest.approx(of_ways + 0.75 * np.eye(3))
-    assert of_v == pytest.approx(V_ONLY)
+    assert np.trace(of_v - V_ONLY) == pytest.approx(0.5 * angle**2)
+    assert (of_v - V_ONLY) @ linear == pytest.approx(np.zeros(3), abs=1e-9)
     halfway = int(state.t[-1] + state.t[-2]) // 2
     share = (growing[-1] + growing[-2]) / 2
     assert state.spread(halfway)[0] == pytest.approx(of_ways + 0.75 * share**2 * np.eye(3))

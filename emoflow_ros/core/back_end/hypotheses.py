@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from emoflow_ros.core.back_end.adjustment import Adjusted, of_unit_depth
 from emoflow_ros.core.back_end.adjustment_kernels import Unknowns
 from emoflow_ros.core.back_end.settings import BackEndSettings
-from emoflow_ros.core.back_end.trajectory import carried_on, interpolated, without_node
+from emoflow_ros.core.back_end.trajectory import (
+    angles_across,
+    carried_on,
+    interpolated,
+    without_node,
+)
 from emoflow_ros.core.front_end.appearance import unit
 
 Array = NDArray[np.float64]
@@ -87,10 +92,8 @@ class Hypotheses:
         w, v, _ = interpolated(times, self.mean, t)
         each = [interpolated(times, x, t) for x in self.ways]
         apart = np.array([angular for angular, _, _ in each]) - w
-        v, direction = unit(v), unit(np.array([linear for _, linear, _ in each]))
-        along = direction @ v
-        across = np.arccos(np.clip(along, -1, 1))[:, None] * unit(direction - np.outer(along, v))
-        return (self.share * apart.T) @ apart, (self.share * across.T) @ across
+        turned = angles_across(v, np.array([linear for _, linear, _ in each]))
+        return (self.share * apart.T) @ apart, (self.share * turned.T) @ turned
 
     def carried_on(self, seconds: float) -> "Hypotheses":
         """All with another node."""

@@ -9,6 +9,7 @@ from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, Unknowns, rotated
 from emoflow_ros.core.back_end.prior_kernels import rotation_vector
 from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.front_end.appearance import unit
 from emoflow_ros.core.types.estimate import Motion
 from emoflow_ros.core.types.events import NS_PER_S
 
@@ -175,3 +176,11 @@ class AdjustedMotion:
         linear = interpolated(self.times, self.x, t)[1]
         norm = float(np.linalg.norm(linear))
         return linear / norm if self.translates and norm > 0 else np.zeros(3)
+
+
+def angles_across(direction: Array, others: Array) -> Array:
+    """Angles (..., 3), rad, from a direction (3,) to others (..., 3), as vectors across it."""
+    direction, others = unit(direction), unit(others)
+    along = others @ direction
+    angle = np.arccos(np.clip(along, -1, 1))
+    return np.asarray(angle[..., None] * unit(others - along[..., None] * direction))
