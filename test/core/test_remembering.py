@@ -178,7 +178,7 @@ def test_a_window_s_wrong_motion_does_not_refute_places_that_fit(calm: Run):
 
 
 def test_a_direction_is_told_only_where_it_is_sure_enough(calm: Run):
-    """Its variance is the same all around it, but for other ways that are possible."""
+    """Its variance is the same all around it, but for other ways and parts of the patches."""
     camera, told = calm.recording.camera, []
     for widest in (60.0, 1.0):
         lattice = LatticeEstimator(camera, LatticeConfig())
@@ -190,8 +190,7 @@ def test_a_direction_is_told_only_where_it_is_sure_enough(calm: Run):
         told.append(estimate)
     sure, unsure = told
     state = memory.odometry
-    assert state.hypotheses is not None
-    own = sure.covariance[:3, :3] - state.hypotheses.spread(state.t, sure.t)[1]
+    own = sure.covariance[:3, :3] - state.spread(sure.t)[1]
     across = np.eye(3) - np.outer(sure.linear, sure.linear)
     variance = np.trace(own) / 2
     assert own == pytest.approx(variance * across)
