@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from emoflow_ros.core.back_end.adjustment import Adjusted, adjust
+from emoflow_ros.core.back_end.adjustment import Adjusted
 from emoflow_ros.core.back_end.adjustment_kernels import NODE, POSE, Observations, Unknowns
-from emoflow_ros.core.back_end.descent import information
+from emoflow_ros.core.back_end.descent import descend, information
 from emoflow_ros.core.back_end.prior_kernels import Prior
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import angles_across, between, interpolated, mixed
@@ -94,10 +94,11 @@ def by_farther(
         problem.node[own], problem.seen[own], problem.root[own],
         problem.anchor[far], problem.bearing[far], problem.depth_mean[far], problem.depth_sd[far],
     )  # fmt: skip
-    start = found.x._replace(inverse_depth=depths[far])
+    start, back = found.x._replace(inverse_depth=depths[far]), settings
     with suppress(np.linalg.LinAlgError):
-        again = adjust(half, start, known, settings.outlier, settings.steps, settings.depths)
-        return again.x._replace(inverse_depth=np.zeros(0))
+        x, cost = descend(half, start, known, back.outlier, back.steps, found.free, back.depths)
+        if np.isfinite(cost):
+            return x._replace(inverse_depth=np.zeros(0))
     return None
 
 
