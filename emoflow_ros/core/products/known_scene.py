@@ -9,7 +9,6 @@ with the matrices a and b of the motion field (core.geometry.camera_motion). The
 unknowns instead of a flow's many hundreds: few events tell them.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,39 +44,32 @@ class KnownScene:
         return cls(flow, by_motion * epipolar.usable[:, None, None])
 
     def fit(
-        self,
-        contrasts: Mapping[float, Contrast],
-        steps: Sequence[tuple[float, int]],
-        events: WindowEvents,
-        duration: float,
-        prior: tuple[Array, Array],
-    ) -> tuple[Array, Array]:
-        """Fit the change of the motion to events, by Newton steps on their contrast.
+        self, contrast: Contrast, events: WindowEvents, duration: float, share: float,
+        expected: tuple[Array, Array],
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Fit the change of the motion to events, by one Newton step on their contrast.
 
         Args:
-            contrasts: by scale.
-            steps: scales and how many steps at each, in turn.
+            contrast: of the events' images.
             events: of the window.
             duration: of the window, s.
-            prior: expected change (m,), to start from, and the information (m, m) on it; m = 3
-                leaves v as it is.
+            share: of the events that no other fit has seen: as much of their information counts.
+            expected: change (m,), to start from, and its covariance (m, m); m = 3 leaves v as it
+                is.
 
         Returns:
-            The change (m,) of w in rad/s and v, and the information (m, m) on it.
+            The change (m,) of w in rad/s and v, and its covariance (m, m).
 
         Raises:
             numpy.linalg.LinAlgError: there is no best change.
         """
-        expected, certainty = prior
-        change, information = expected, certainty
-        by_motion = np.ascontiguousarray(duration * self.by_motion[..., : len(expected)])
-        for contrast in (contrasts[scale] for scale, number in steps for _ in range(number)):
-            cells = contrast.linearise(events, self.field(contrast.lattice, duration, change))
-            force, curvature = cells.project(by_motion)
-            information = curvature / INFORMATION_EXCESS + certainty
-            push = force / INFORMATION_EXCESS - certainty @ (change - expected)
-            change = change + np.linalg.solve(information, push)
-        return change, information
+        change, covariance = expected
+        by_motion = np.ascontiguousarray(duration * self.by_motion[..., : len(change)])
+        cells = contrast.linearise(events, self.field(contrast.lattice, duration, change))
+        force, curvature = cells.project(by_motion)
+        seen = share / INFORMATION_EXCESS
+        fitted = np.linalg.inv(np.linalg.inv(covariance) + seen * curvature)
+        return change + fitted @ (seen * force), fitted
 
     def field(self, lattice: Lattice, duration: float, change: Array) -> NDArray[np.float32]:
         """Flow (columns, rows, times, 2), px per window of `duration` s, after a change (m,)."""

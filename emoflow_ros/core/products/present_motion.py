@@ -3,8 +3,9 @@
 A window's estimate holds at its middle, and comes after its last event by the time that it takes to
 compute. The scene's flow hardly changes in that time, apart from what the camera's change of motion
 makes of it: that is six numbers (`known_scene`), for which a short slice of events is enough.
-The contrast of the slice's events and the window's estimate decide on w and v together. The
-estimate is carried on by the window's own change of w and a random walk, or by a gyro. How fast the
+The contrast of the slice's events decides on w and v together with what is expected: what the slice
+before has shown, and the window's estimate, carried on by its own change of w and a random walk, or
+by a gyro. Slices overlap, so that of their information the new events' share counts. How fast the
 image moves by the newest events bounds it (`gauge`): a camera that stops is at rest at once.
 """
 
@@ -23,7 +24,7 @@ from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.products.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.products.motion_prior import HeldMotion, Known
-from emoflow_ros.core.products.present_scene import SeenScene, measured
+from emoflow_ros.core.products.present_scene import Change, SeenScene, measured
 from emoflow_ros.core.products.settings import PRESENT, STREAM
 from emoflow_ros.core.stream.cleaning import clean
 from emoflow_ros.core.types.estimate import Estimate, FlowSampler, SpeedBound, Status, velocity_at
@@ -37,7 +38,7 @@ Array = NDArray[np.float64]
 class PresentMotion:
     """Estimates the latest twist between the estimates of windows.
 
-    It depends on the last estimate and on the slice's own events alone.
+    It depends on the windows' estimates and on the slices so far.
 
     Args:
         camera: with its lens.
@@ -49,9 +50,10 @@ class PresentMotion:
         self._image = WorkingImage.of(camera)
         self._lattice = Lattice.with_spacing(*self._image.camera.size, config.spacing_px)
         self._epipolar = NodeEpipolar(self._image.camera, self._lattice, config.dec_inlier_px)
-        self._contrasts = {scale: Contrast(self._lattice, scale) for scale, _ in PRESENT.steps}
+        self._contrast = Contrast(self._lattice, 1.0)
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
         self._scene: SeenScene | None = None
+        self._before: Change | None = None  # what the last slice has shown
 
     def know(self, estimate: Estimate, gyro: GyroReadings | None = None) -> None:
         """Take a window's estimate. After one that cannot be used there is no latest twist.
@@ -63,6 +65,8 @@ class PresentMotion:
         self._scene = None
         if estimate.told:
             self._scene = self._see(estimate, gyro)
+        else:
+            self._before = None
 
     def estimate(self, window: Window) -> PresentTwist | None:
         """Estimate the motion at the end of a slice of events.
@@ -87,67 +91,47 @@ class PresentMotion:
         by_gyro = scene.change_by_gyro(gyro, middle)
         if scene.known is None and not _is_fresh(window):
             by_gyro = None
-        drift, change = scene.drift.copy(), np.zeros(6)
-        since = max(0, middle - scene.t) / NS_PER_S
-        if by_gyro is None:
-            change[:3], variance = scene.predicted_change(middle), 0.0
+        before, share = self._before, 1.0
+        if by_gyro is not None or scene.known is None or before is None or before.t >= middle:
+            before = None
         else:
-            change[:3], variance = by_gyro
-            drift[:3] = 0.0
-        covariance = scene.covariance + np.diag(drift * since)
-        covariance[:3, :3] += variance * np.eye(3)
-        free = 6 if scene.translates else 3
-        fitted = scene.known is not None and self._fit(scene.known, part, change, covariance, free)
-        rest = (window.t_end - middle) / NS_PER_S
-        surprise = change[:3] - scene.predicted_change(middle)
-        unforeseen = _goes_on(surprise, since, rest, scene.drift[0])
-        of_w = scene.covariance[:3, :3] + PRESENT.of_fit * covariance[:3, :3]
-        if fitted:  # the slice shows the change alone; what the window took for the motion stays
-            covariance[:free, :free] += scene.covariance[:free, :free]
-        at_end = scene.change_by_gyro(gyro, window.t_end)
-        ahead = scene.predicted_change(window.t_end) - scene.predicted_change(middle)
-        if by_gyro is not None and at_end is not None:
-            change[:3] += at_end[0] - by_gyro[0]
-            # of readings that end before now
-            late = max(0.0, at_end[1] - by_gyro[1] - PRESENT.live_gap)
-            covariance[:3, :3] += late * np.eye(3)
-        elif by_gyro is not None:  # its readings end before now
-            drift = scene.drift
-            covariance[:3, :3] += unforeseen
-            change[:3] += ahead
-        elif fitted:
-            drift[:3] = 0.0
-            covariance[:3], covariance[:, :3] = 0.0, 0.0
-            covariance[:3, :3] = of_w + unforeseen
-            change[:3] += ahead
-        else:
-            change[:3] = scene.predicted_change(window.t_end)
-        covariance += np.diag(drift * rest)
-        found = _read(window.t_end, scene, change, covariance)
+            share = min(1.0, (middle - before.t) / NS_PER_S / part.duration)
+        expected = scene.expected(middle, before)
+        if by_gyro is not None:
+            expected = expected.by_gyro(*by_gyro)
+        shown = self._fit(expected, part, share)
+        if by_gyro is None and shown is not None:
+            self._before = shown
+        at_end = None if by_gyro is None else scene.change_by_gyro(gyro, window.t_end)
+        told = _at_end(shown or expected, window.t_end, by_gyro, at_end, fitted=shown is not None)
+        found = _read(window.t_end, scene, *told)
         if found is None:
             return None
-        own = scene.measured and (fitted or scene.known is None)
+        own = scene.measured and (shown is not None or scene.known is None)
         return _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
 
-    def _fit(
-        self, known: KnownScene, part: Window, change: Array, covariance: Array, free: int
-    ) -> bool:
-        """Fit the first `free` numbers of the change (6,) to events; False if that cannot be done.
+    def _fit(self, expected: Change, part: Window, share: float) -> Change | None:
+        """Fit an expected change to events of a slice; None if that cannot be done.
 
-        The change as predicted and its covariance (6, 6) are replaced by those that follow.
+        Args:
+            expected: until the slice's middle.
+            part: the slice.
+            share: of its events that no other slice had.
         """
-        events = prepare(part, self._image, self._config)
-        if events is None:
-            return False
+        scene = expected.scene
+        events = prepare(part, self._image, self._config) if scene.known is not None else None
+        if events is None or scene.known is None:
+            return None
+        free = 6 if scene.translates else 3
+        mean, covariance = expected.mean.copy(), expected.covariance.copy()
         try:
-            prior = change[:free].copy(), np.linalg.inv(covariance[:free, :free])
-            change[:free], information = known.fit(
-                self._contrasts, PRESENT.steps, events, part.duration, prior
-            )
-            covariance[:free, :free] = np.linalg.inv(information)
+            mean[:free], covariance[:free, :free] = scene.known.fit(
+                self._contrast, events, part.duration, share,
+                (mean[:free], covariance[:free, :free]),
+            )  # fmt: skip
         except np.linalg.LinAlgError:
-            return False
-        return True
+            return None
+        return replace(expected, mean=mean, covariance=covariance)
 
     def _see(self, estimate: Estimate, gyro: GyroReadings | None) -> SeenScene:
         motion, length = estimate.motion, estimate.t_end - estimate.t_start
@@ -161,6 +145,7 @@ class PresentMotion:
         if estimate.flow is not None:
             known = self._shown(estimate.flow, t, fitted.angular(t), v)
         drift, walk = self._drift.copy(), estimate.angular_walk
+        drift[3:] *= PRESENT.of_direction
         if walk is not None:
             drift[:3] = PRESENT.of_walk * walk
         used = estimate.gyro.state is GyroState.USED
@@ -187,17 +172,49 @@ class PresentMotion:
         return KnownScene.at_depths(epipolar, rate, inverse_depths(epipolar, rate, w, v))
 
 
-def _goes_on(surprise: Array, since: float, rest: float, drift: float) -> Array:
-    """Covariance (3, 3) of a random walk that goes on: a camera that shakes does, a calm one stays.
+def _at_end(
+    change: Change, t: int, by_gyro: tuple[Array, float] | None, at_end: tuple[Array, float] | None,
+    *, fitted: bool,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Motion (6,) and its covariance (6, 6) at a slice's end.
+
+    The slice shows the change alone: what the window took for the motion stays.
 
     Args:
-        surprise: (3,) by how much w has changed otherwise than expected.
-        since: time in which it has, s.
-        rest: time for which nothing is known, s.
-        drift: variance of w's change per s that windows have shown, (rad/s)^2/s.
+        change: until the slice's middle.
+        t: the slice's end, ns.
+        by_gyro, at_end: what a gyro tells of the change until middle and end, with its variance;
+            None if it does not.
+        fitted: whether the slice's events told.
     """
-    rate = float(surprise @ surprise) / 3 / max(since, PRESENT.least_since_s)
-    return (rate + PRESENT.of_drift * drift) * rest * np.eye(3)
+    scene, rest = change.scene, (t - change.t) / NS_PER_S
+    mean, covariance = change.carried_on(t).mean, scene.covariance + change.covariance
+    walk = scene.drift * rest
+    if by_gyro is not None and at_end is not None:
+        mean[:3] = change.mean[:3] + at_end[0] - by_gyro[0]
+        # of readings that end before now
+        walk[:3] = max(0.0, at_end[1] - by_gyro[1] - PRESENT.live_gap)
+    elif by_gyro is not None:  # its readings end before now
+        walk[:3] += _goes_on(change, rest)
+    elif fitted:
+        walk[:3] = _goes_on(change, rest)
+        covariance[:3], covariance[:, :3] = 0.0, 0.0
+        covariance[:3, :3] = scene.covariance[:3, :3] + PRESENT.of_fit * change.covariance[:3, :3]
+    return scene.motion + mean, covariance + np.diag(walk)
+
+
+def _goes_on(change: Change, rest: float) -> float:
+    """Variance of a random walk that goes on: a camera that shakes does, a calm one stays.
+
+    Args:
+        change: of which that of w is otherwise than expected by so much in its time.
+        rest: time for which nothing is known, s.
+    """
+    scene = change.scene
+    surprise = change.mean[:3] - scene.predicted_change(change.t)
+    since = max((change.t - scene.t) / NS_PER_S, PRESENT.least_since_s)
+    rate = float(surprise @ surprise) / 3 / since
+    return (rate + PRESENT.of_drift * float(scene.drift[0])) * rest
 
 
 def _is_frozen(window: Window) -> bool:
@@ -255,8 +272,8 @@ def _held(
     return PresentTwist(Twist(twist.t, motion.linear, motion.angular), motion.covariance)
 
 
-def _read(t: int, scene: SeenScene, change: Array, covariance: Array) -> PresentTwist | None:
-    w, v = np.split(scene.motion + change, 2)
+def _read(t: int, scene: SeenScene, motion: Array, covariance: Array) -> PresentTwist | None:
+    w, v = np.split(motion, 2)
     length = float(np.linalg.norm(v))
     direction = v / length if scene.translates and length > 0 else np.zeros(3)
     across = np.eye(6)

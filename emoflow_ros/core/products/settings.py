@@ -85,11 +85,10 @@ class PresentSettings:
         longest_ns: from the middle of the last window to now; later there is none, ns.
         events, fewest_events: number of events that are enough for six numbers, and that are
             needed.
-        steps: scale of the images, and number of steps at it: maxima are wide there, for the motion
-            may have changed much.
         fades_s: time in which an angular acceleration becomes smaller by a factor of e, s: this, or
             the window's length if that is shorter, for the change within it is known less well.
         of_walk: variance of w's change over that of the random walk that windows have shown.
+        of_direction: the same of v's over that of the options.
         of_fit: the covariance of w now is that of the window's w, that of its change by the slice,
             times this, and that of a random walk from the slice's middle on.
         of_drift: part of the drift that windows have shown in the rate of that walk.
@@ -108,9 +107,9 @@ class PresentSettings:
     longest_ns: int = 600_000_000
     events: int = 8_000
     fewest_events: int = 300
-    steps: tuple[tuple[float, int], ...] = ((0.5, 2),)
     fades_s: float = 0.06
     of_walk: float = 8.0
+    of_direction: float = 0.1
     of_fit: float = 0.2
     of_drift: float = 0.02
     least_since_s: float = 0.02

@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from present_runs import LATE_NS, SLICE_NS, degrees, last, run
+from present_runs import LATE_NS, SLICE_NS, Run, degrees, last, run
 
 from emoflow_ros.core.geometry.camera_motion import SplineMotion
 from emoflow_ros.core.products import present_motion
+from emoflow_ros.core.products.present_scene import SeenScene
 from emoflow_ros.core.products.settings import PRESENT
 from emoflow_ros.core.stream.thinning import spread
-from emoflow_ros.core.types.estimate import MotionModel, Status
+from emoflow_ros.core.types.estimate import Estimate, MotionModel, Status
 from emoflow_ros.core.types.events import NS_PER_MS, NS_PER_S
+from emoflow_ros.core.types.twist import PresentTwist
 
 STEP_NS = 20 * NS_PER_MS
 
@@ -66,18 +68,95 @@ def test_variance_grows_with_the_change_that_the_window_did_not_tell(
     assert square > np.radians(1) ** 2
 
 
-def test_the_same_slice_and_window_give_the_same_bits() -> None:
-    its, estimate = last("agile")
-    found = []
-    for before in (its.estimates[0], its.estimates[5]):
-        present = its.present()
-        present.know(before)
-        present.estimate(its.slice(before.t_end + LATE_NS))
+def after_slices(estimates: list[Estimate], its: Run) -> PresentTwist:
+    """The latest twist after the last of the windows, of which each had its slice."""
+    present, found = its.present(), None
+    for estimate in estimates:
         present.know(estimate)
-        found.append(present.estimate(its.slice(estimate.t_end + LATE_NS)))
-    assert found[0] is not None and found[1] is not None
-    np.testing.assert_array_equal(found[0].twist.angular, found[1].twist.angular)
-    np.testing.assert_array_equal(found[0].covariance, found[1].covariance)
+        if estimate.told:
+            found = present.estimate(its.slice(estimate.t_end + LATE_NS))
+    assert found is not None
+    return found
+
+
+def test_the_same_windows_and_slices_give_the_same_bits() -> None:
+    its, estimate = last("agile")
+    first, second = (after_slices([its.estimates[5], estimate], its) for _ in range(2))
+    np.testing.assert_array_equal(first.twist.angular, second.twist.angular)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+
+
+def test_a_window_without_an_estimate_makes_it_forget_the_slices_before() -> None:
+    its, estimate = last("agile")
+    lost = replace(estimate, status=Status.LOST)
+    alone = after_slices([estimate], its)
+    forgot = after_slices([its.estimates[5], lost, estimate], its)
+    kept = after_slices([its.estimates[5], estimate], its)
+    np.testing.assert_array_equal(forgot.twist.angular, alone.twist.angular)
+    np.testing.assert_array_equal(forgot.covariance, alone.covariance)
+    assert degrees(kept.twist.angular - alone.twist.angular) > 0.01
+
+
+def test_slices_one_after_another_tell_more_than_each_alone_where_windows_come_late() -> None:
+    """60 slices a second, with each window's estimate 160 ms after its end."""
+    its, late = run("agile"), 160 * NS_PER_MS
+    first = its.estimates[4].t_end + late
+    together, errors, alone = its.present(), [], []
+    known = None
+    for t in range(first, its.recording.t_end, NS_PER_S // 60):
+        there = [e for e in its.estimates if e.t_end + late <= t][-1]
+        if there is not known:
+            together.know(there)
+            known = there
+        fresh = its.present()
+        fresh.know(there)
+        pair = [present.estimate(its.slice(t)) for present in (together, fresh)]
+        assert pair[0] is not None and pair[1] is not None
+        for found, list_ in zip(pair, (errors, alone), strict=True):
+            list_.append(degrees(found.twist.angular - its.angular(t)))
+    assert len(errors) > 30
+    assert np.sqrt(np.mean(np.square(errors))) < 0.6 * np.sqrt(np.mean(np.square(alone)))
+
+
+def scene_of_a_turn(t: int, w: float) -> SeenScene:
+    """A scene that a camera has shown which turns about x, and travels along z."""
+    motion = np.array([w, 0, 0, 0, 0, 1.0])
+    drift = np.repeat([0.5, 0.02], 3)
+    return SeenScene(
+        t, t + NS_PER_S, 100 * NS_PER_MS, motion, np.array([2.0, 0, 0]), 1e-4 * np.eye(6), drift,
+        None, True, None,
+    )  # fmt: skip
+
+
+def test_what_slices_have_shown_goes_on_within_a_scene() -> None:
+    scene, at = scene_of_a_turn(0, 0.1), 100 * NS_PER_MS
+    anew = scene.expected(at, None)
+    ahead = 2.0 * 0.06 * (1 - np.exp(-0.1 / 0.06))
+    np.testing.assert_allclose(anew.mean, [ahead, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(np.diag(anew.covariance), [0.05] * 3 + [0.002, 0.002, 1.002])
+    later = at + 20 * NS_PER_MS
+    shown = replace(anew, mean=anew.mean + 0.3, covariance=1e-3 * np.eye(6))
+    again = scene.expected(later, shown)
+    more = 2.0 * 0.06 * (np.exp(-0.1 / 0.06) - np.exp(-0.12 / 0.06))
+    np.testing.assert_allclose(again.mean - shown.mean, [more, 0, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(again.covariance, 1e-3 * np.eye(6) + np.diag(0.02 * scene.drift))
+
+
+def test_of_another_scene_w_is_held_against_what_slices_have_shown_before() -> None:
+    """The mean of two, each by the inverse of its variance; v begins anew."""
+    before, scene, at = scene_of_a_turn(0, 0.1), scene_of_a_turn(70 * NS_PER_MS, 0.2), 10**8
+    shown = replace(
+        before.expected(80 * NS_PER_MS, None), mean=np.full(6, 0.3), covariance=0.01 * np.eye(6)
+    )
+    found, anew = scene.expected(at, shown), scene.expected(at, None)
+    of_slices = 0.01 + 1e-4 + 0.5 * 0.02  # its own, the window's, the walk's
+    of_window = 0.5 * 0.03
+    weights = np.array([1 / of_slices, 1 / of_window])
+    by_slices, by_window = 0.1 + 0.3 - 0.2, anew.mean[0]
+    np.testing.assert_allclose(found.mean[0], weights @ [by_slices, by_window] / weights.sum())
+    np.testing.assert_allclose(np.diag(found.covariance)[:3], 1 / weights.sum())
+    np.testing.assert_array_equal(found.mean[3:], 0)
+    np.testing.assert_array_equal(found.covariance[3:, 3:], anew.covariance[3:, 3:])
 
 
 def test_direction_has_unit_length_and_no_variance_along_itself() -> None:
