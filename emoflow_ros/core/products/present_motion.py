@@ -100,10 +100,12 @@ class PresentMotion:
         if by_gyro is not None:
             expected = expected.by_gyro(*by_gyro)
         shown = self._fit(expected, part, share)
-        if by_gyro is None and shown is not None:
+        change, at_end = shown or expected, None
+        if by_gyro is not None:  # the events add nothing to its w
+            change, at_end = change.by_gyro(*by_gyro), scene.change_by_gyro(gyro, window.t_end)
+        elif shown is not None:
             self._before = shown
-        at_end = None if by_gyro is None else scene.change_by_gyro(gyro, window.t_end)
-        told = _at_end(shown or expected, window.t_end, by_gyro, at_end, fitted=shown is not None)
+        told = _at_end(change, window.t_end, by_gyro, at_end, fitted=shown is not None)
         found = _read(window.t_end, scene, *told)
         if found is None:
             return None

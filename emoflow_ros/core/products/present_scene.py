@@ -112,6 +112,7 @@ class Change:
     def by_gyro(self, change: Array, variance: float) -> "Change":
         """The same with w's change (3,) rad/s by a gyro, with a variance in each axis."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
+        covariance[:3], covariance[:, :3] = 0.0, 0.0
         mean[:3], covariance[:3, :3] = change, variance * np.eye(3)
         return replace(self, mean=mean, covariance=covariance)
 
