@@ -53,7 +53,7 @@ class KnownScene:
             contrast: of the events' images.
             events: of the window.
             duration: of the window, s.
-            share: of the events that no other fit has seen: as much of their information counts.
+            share: of the window that no other fit has seen: as much of its information counts.
             expected: change (m,), to start from, and its covariance (m, m); m = 3 leaves v as it
                 is.
 

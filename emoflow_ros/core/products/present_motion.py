@@ -65,7 +65,7 @@ class PresentMotion:
         self._scene = None
         if estimate.told:
             self._scene = self._see(estimate, gyro)
-        else:
+        if self._scene is None or self._scene.known is None:  # the camera stops, or who knows
             self._before = None
 
     def estimate(self, window: Window) -> PresentTwist | None:
@@ -92,8 +92,8 @@ class PresentMotion:
         if scene.known is None and not _is_fresh(window):
             by_gyro = None
         before, share = self._before, 1.0
-        if by_gyro is not None or scene.known is None or before is None or before.t >= middle:
-            before = None
+        if by_gyro is not None or before is None or before.t >= middle:  # also where time goes back
+            before = self._before = None
         else:
             share = min(1.0, (middle - before.t) / NS_PER_S / part.duration)
         expected = scene.expected(middle, before)
@@ -103,12 +103,12 @@ class PresentMotion:
         change, at_end = shown or expected, None
         if by_gyro is not None:  # the events add nothing to its w
             change, at_end = change.by_gyro(*by_gyro), scene.change_by_gyro(gyro, window.t_end)
-        elif shown is not None:
-            self._before = shown
         told = _at_end(change, window.t_end, by_gyro, at_end, fitted=shown is not None)
         found = _read(window.t_end, scene, *told)
         if found is None:
             return None
+        if by_gyro is None and shown is not None:
+            self._before = shown
         own = scene.measured and (shown is not None or scene.known is None)
         return _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
 
@@ -118,11 +118,13 @@ class PresentMotion:
         Args:
             expected: until the slice's middle.
             part: the slice.
-            share: of its events that no other slice had.
+            share: of its time that no other slice had.
         """
         scene = expected.scene
-        events = prepare(part, self._image, self._config) if scene.known is not None else None
-        if events is None or scene.known is None:
+        if scene.known is None:
+            return None
+        events = prepare(part, self._image, self._config)
+        if events is None:
             return None
         free = 6 if scene.translates else 3
         mean, covariance = expected.mean.copy(), expected.covariance.copy()
@@ -209,7 +211,7 @@ def _goes_on(change: Change, rest: float) -> float:
     """Variance of a random walk that goes on: a camera that shakes does, a calm one stays.
 
     Args:
-        change: of which that of w is otherwise than expected by so much in its time.
+        change: how far its w is from what the window foresees tells how fast the walk is.
         rest: time for which nothing is known, s.
     """
     scene = change.scene

@@ -61,7 +61,7 @@ class SeenScene:
         it, each as well as it knows.
 
         Args:
-            t: later than the scene's time and that of `before`.
+            t: later than that of `before`.
             before: what the slice before has shown; None if there is none.
         """
         v, covariance = self.motion[3:], np.zeros((6, 6))
@@ -106,6 +106,7 @@ class Change:
         """The same until a time, ns: by the window's own change of w and a random walk."""
         ahead = self.scene.predicted_change(t) - self.scene.predicted_change(self.t)
         mean = self.mean + np.concatenate([ahead, np.zeros(3)])
+        # not nothing, for the covariance is inverted
         walk = self.scene.drift * (max(t - self.t, NS_PER_MS) / NS_PER_S)
         return Change(self.scene, t, mean, self.covariance + np.diag(walk))
 
@@ -119,9 +120,10 @@ class Change:
     def together(self, other: "Change") -> "Change":
         """The same with the w that an earlier change since another window's scene leads to."""
         scene, earlier = self.scene, other.scene
-        w = earlier.motion[:3] + other.mean[:3] - scene.motion[:3]
-        walk = scene.drift[:3] * ((self.t - other.t) / NS_PER_S)
-        of_w = other.covariance[:3, :3] + scene.covariance[:3, :3] + np.diag(walk)
+        later = other.carried_on(self.t)
+        w = earlier.motion[:3] + later.mean[:3] - scene.motion[:3]
+        of_windows = earlier.covariance[:3, :3] + scene.covariance[:3, :3]
+        of_w = later.covariance[:3, :3] + of_windows
         mean, covariance = self.mean.copy(), self.covariance.copy()
         share = covariance[:3, :3] @ np.linalg.inv(covariance[:3, :3] + of_w)
         mean[:3] += share @ (w - mean[:3])

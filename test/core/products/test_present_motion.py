@@ -86,9 +86,10 @@ def test_the_same_windows_and_slices_give_the_same_bits() -> None:
     np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
-def test_a_window_without_an_estimate_makes_it_forget_the_slices_before() -> None:
+@pytest.mark.parametrize("status", [Status.LOST, Status.STILL])
+def test_a_window_without_a_flow_makes_it_forget_the_slices_before(status: Status) -> None:
     its, estimate = last("agile")
-    lost = replace(estimate, status=Status.LOST)
+    lost = replace(estimate, status=status, flow=None)
     alone = after_slices([estimate], its)
     forgot = after_slices([its.estimates[5], lost, estimate], its)
     kept = after_slices([its.estimates[5], estimate], its)
@@ -149,10 +150,11 @@ def test_of_another_scene_w_is_held_against_what_slices_have_shown_before() -> N
         before.expected(80 * NS_PER_MS, None), mean=np.full(6, 0.3), covariance=0.01 * np.eye(6)
     )
     found, anew = scene.expected(at, shown), scene.expected(at, None)
-    of_slices = 0.01 + 1e-4 + 0.5 * 0.02  # its own, the window's, the walk's
+    of_slices = 0.01 + 2e-4 + 0.5 * 0.02  # its own, the two windows', the walk's
     of_window = 0.5 * 0.03
     weights = np.array([1 / of_slices, 1 / of_window])
-    by_slices, by_window = 0.1 + 0.3 - 0.2, anew.mean[0]
+    more = 2.0 * 0.06 * (np.exp(-0.08 / 0.06) - np.exp(-0.1 / 0.06))  # of its own window's change
+    by_slices, by_window = 0.1 + 0.3 + more - 0.2, anew.mean[0]
     np.testing.assert_allclose(found.mean[0], weights @ [by_slices, by_window] / weights.sum())
     np.testing.assert_allclose(np.diag(found.covariance)[:3], 1 / weights.sum())
     np.testing.assert_array_equal(found.mean[3:], 0)
