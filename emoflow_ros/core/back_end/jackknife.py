@@ -94,9 +94,11 @@ def by_farther(
         problem.node[own], problem.seen[own], problem.root[own],
         problem.anchor[far], problem.bearing[far], problem.depth_mean[far], problem.depth_sd[far],
     )  # fmt: skip
-    start, back = found.x._replace(inverse_depth=depths[far]), settings
+    start = found.x._replace(inverse_depth=depths[far])
     with suppress(np.linalg.LinAlgError):
-        x, cost = descend(half, start, known, back.outlier, back.steps, found.free, back.depths)
+        x, cost = descend(
+            half, start, known, settings.outlier, settings.steps, found.free, settings.depths
+        )
         if np.isfinite(cost):
             return x._replace(inverse_depth=np.zeros(0))
     return None

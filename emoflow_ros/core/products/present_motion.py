@@ -99,9 +99,10 @@ class PresentMotion:
         expected = scene.expected(middle, before)
         if by_gyro is not None:
             expected = expected.by_gyro(*by_gyro)
-        shown = self._fit(expected, part, share)
+        tells = by_gyro is None or scene.translates  # the events add nothing to a gyro's w
+        shown = self._fit(expected, part, share) if tells else None
         change, at_end = shown or expected, None
-        if by_gyro is not None:  # the events add nothing to its w
+        if by_gyro is not None:
             change, at_end = change.by_gyro(*by_gyro), scene.change_by_gyro(gyro, window.t_end)
         told = _at_end(change, window.t_end, by_gyro, at_end, fitted=shown is not None)
         found = _read(window.t_end, scene, *told)

@@ -119,6 +119,46 @@ def test_slices_one_after_another_tell_more_than_each_alone_where_windows_come_l
     assert np.sqrt(np.mean(np.square(errors))) < 0.6 * np.sqrt(np.mean(np.square(alone)))
 
 
+def test_of_a_slice_the_share_counts_that_no_other_has_seen() -> None:
+    its, estimate = last("calm")
+    present = its.present()
+    present.know(estimate)
+    scene, part = present._scene, its.slice(estimate.t_end + LATE_NS)
+    assert scene is not None
+    expected = scene.expected(part.t_end - SLICE_NS // 2, None)
+    gained = []
+    for share in (1.0, 0.25):
+        shown = present._fit(expected, part, share)
+        assert shown is not None
+        gained.append(np.linalg.inv(shown.covariance) - np.linalg.inv(expected.covariance))
+    np.testing.assert_allclose(gained[1], 0.25 * gained[0], rtol=1e-6, atol=1e-6 * gained[0].max())
+
+
+def test_where_time_goes_back_a_slice_is_taken_for_itself() -> None:
+    its, estimate = last("agile")
+    earlier, later = (estimate.t_end + LATE_NS + k * STEP_NS for k in range(2))
+    present, fresh = its.present(), its.present()
+    for one in (present, fresh):
+        one.know(estimate)
+    present.estimate(its.slice(later))
+    again, alone = present.estimate(its.slice(earlier)), fresh.estimate(its.slice(earlier))
+    assert again is not None and alone is not None
+    np.testing.assert_array_equal(again.twist.angular, alone.twist.angular)
+
+
+def test_with_too_few_events_what_the_slice_before_has_shown_goes_on() -> None:
+    its, estimate = last("agile")
+    present = its.present()
+    present.know(replace(estimate, bound=None))
+    first = estimate.t_end + LATE_NS
+    present.estimate(its.slice(first))
+    shown, window = present._before, its.slice(first + STEP_NS)
+    few = present.estimate(replace(window, events=spread(window.events, 250)))
+    assert shown is not None and few is not None
+    expected = shown.scene.motion + shown.carried_on(window.t_end).mean
+    np.testing.assert_allclose(few.twist.angular, expected[:3])
+
+
 def scene_of_a_turn(t: int, w: float) -> SeenScene:
     """A scene that a camera has shown which turns about x, and travels along z."""
     motion = np.array([w, 0, 0, 0, 0, 1.0])
