@@ -18,7 +18,7 @@ from emoflow_ros.core.lattice.preparation import WorkingImage
 from emoflow_ros.core.lattice.refinement import Depths, ShownFlow
 from emoflow_ros.core.lattice.uncertainty import without_translation
 from emoflow_ros.core.odometry import Hint, Odometry, State
-from emoflow_ros.core.told_motion import ToldMotion, across, told_bias
+from emoflow_ros.core.told_motion import ToldMotion, across, as_experienced, told_bias
 from emoflow_ros.core.types.estimate import (
     REMEMBERED,
     Estimate,
@@ -160,8 +160,11 @@ class RememberingEstimator:
     ) -> Experience:
         before = experience.t
         again = None if before is None or before < state.t[0] else state.motion(before)
-        measured, law = (found.angular, found.linear), self._odometry.back.errors
-        return experience.after(found.t, motion, again, measured, law)
+        back, known, bias = self._odometry.back, found.gyro.bias, None
+        if state.bias is not None and known is not None:
+            bias = told_bias(state, found.t, back), known
+        measured = found.angular, found.linear
+        return experience.after(found.t, motion, again, measured, back.errors, bias)
 
     def _taken(self, state: State, window: Window, since: int, found: Estimate) -> State:
         """Take a window's slices since a time (ns) into a state."""
@@ -239,7 +242,10 @@ class RememberingEstimator:
         flow, shown = self._refined(estimate, motion, memory, told.variance)
         if shown is not None:
             memory = replace(memory, shown=(*memory.shown, shown)[-_MOST_SHOWN:])
-        return memory, replace(estimate, flow=flow)
+        covariance = told.covariance
+        if found.gyro.state is GyroState.USED:
+            covariance = as_experienced(covariance, memory.experience, self._odometry.back)
+        return memory, replace(estimate, flow=flow, covariance=covariance)
 
     def _refined(
         self, estimate: Estimate, told: AdjustedMotion, memory: Memory, variance: float

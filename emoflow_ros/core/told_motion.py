@@ -9,6 +9,7 @@ from emoflow_ros.core.back_end.consistency import (
     Experience,
     angular_factor,
     direction_variance,
+    factor_by_gyro,
     variance_by_gyro,
 )
 from emoflow_ros.core.back_end.settings import BackEndSettings
@@ -97,6 +98,21 @@ def told_bias(state: State, t: int, settings: BackEndSettings) -> SeenBias:
     factor = law.bias * max(state.adjusted.mean_cost(settings), law.least_cost)
     covariance = factor * state.bias.covariance + state.spread(t)[0]
     return replace(state.bias, covariance=covariance)
+
+
+def as_experienced(told: Array, experience: Experience, settings: BackEndSettings) -> Array:
+    """The covariance (6, 6) of a motion whose w a gyro told, as wide as its bias was wrong.
+
+    That is told alone: the flow and the direction are no better for it.
+
+    Args:
+        told: covariance of the motion.
+        experience: with this motion.
+        settings: of the back end.
+    """
+    covariance = told.copy()
+    covariance[3:, 3:] *= factor_by_gyro(experience, settings.errors)
+    return covariance
 
 
 def _seconds(window: Window, found: Estimate) -> float:

@@ -7,10 +7,11 @@ import pytest
 from test_remembering import Run, run_of
 
 from emoflow_ros.core.back_end.settings import BackEndSettings
+from emoflow_ros.core.front_end.settings import FrontEndSettings
 from emoflow_ros.core.lattice.config import LatticeConfig
 from emoflow_ros.core.lattice.estimator import LatticeEstimator
 from emoflow_ros.core.remembering import RememberingEstimator
-from emoflow_ros.core.told_motion import told_bias
+from emoflow_ros.core.told_motion import ToldMotion, told_bias
 from emoflow_ros.core.types.estimate import Estimate
 from emoflow_ros.core.types.events import Window
 from emoflow_ros.core.types.gyro import GyroState, GyroStatus, KnownBias
@@ -131,3 +132,25 @@ def test_a_bias_is_told_more_widely_than_places_say(calm: Run):
     more = told.covariance - least * state.bias.covariance - state.spread(found.t)[0]
     assert np.linalg.eigvalsh(more)[0] > -1e-12
     assert told.excess == pytest.approx(state.bias.excess)
+
+
+def test_a_gyro_is_as_sure_as_places_find_its_bias_right(calm: Run):
+    """Its w is told more widely, or less; the direction is not."""
+    factors = []
+    for bias in (0.0, 6.0):  # of a known standard deviation of 1
+        gyro = WithGyro(calm, np.radians([bias, 0.0, 0.0]), GyroState.USED)
+        reader = RememberingEstimator(gyro, calm.recording.camera, lambda e, depths: (e, None))
+        memory = reader.nothing()
+        for window in calm.windows[:8]:
+            found = gyro.estimate(window)
+            memory, estimate = reader.step(memory, window, found)
+        kept = memory.odometry.patches.kept(FrontEndSettings().patience)
+        told = ToldMotion.of(
+            window, found, memory.odometry, memory.experience, kept, BackEndSettings()
+        )
+        factor = estimate.covariance[3, 3] / found.covariance[3, 3]
+        assert estimate.covariance[3:, 3:] == pytest.approx(factor * found.covariance[3:, 3:])
+        np.testing.assert_array_equal(estimate.covariance[:3, :3], told.covariance[:3, :3])
+        factors.append(factor)
+    assert factors[0] < 0.7
+    assert factors[1] > 2

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from emoflow_ros.core.back_end.settings import ErrorLaw
 from emoflow_ros.core.back_end.trajectory import MotionAt
+from emoflow_ros.core.types.gyro import KnownBias, SeenBias
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ class Experience:
         astray: angle (rad) to the direction that the lattice measures; None before the first
             window.
         away: (3,) rad/s, the lattice's angular velocity less the adjusted one of the last window.
+        biased: log of the squared excess over a gyro's bias that places show, over the covariance
+            of both, per axis.
         t: the time that the last motion was told for, ns; None before one.
         motion: that was told.
     """
@@ -37,6 +40,7 @@ class Experience:
     turned: float
     astray: float | None = None
     away: Array = field(default_factory=lambda: np.zeros(3))
+    biased: float | None = None
     t: int | None = None
     motion: MotionAt | None = None
 
@@ -47,7 +51,7 @@ class Experience:
 
     def after(
         self, t: int, motion: MotionAt, again: MotionAt | None, measured: tuple[Array, Array],
-        law: ErrorLaw,
+        law: ErrorLaw, bias: tuple[SeenBias, KnownBias] | None = None,
     ) -> "Experience":  # fmt: skip
         """Learn from another adjustment.
 
@@ -58,6 +62,7 @@ class Experience:
             measured: angular velocity (3,) rad/s and direction (3,) as the lattice measures them
                 at t; the direction is zero where unknown.
             law: what is made of it.
+            bias: of the gyro, as places show it and as it was known; None without.
         """
         away = measured[0] - motion.angular
         astray = _angle(measured[1], motion.linear, law.unknown_angle)
@@ -68,7 +73,16 @@ class Experience:
             angle = _angle(again.linear, self.motion.linear, law.unknown_angle)
             revised = _mixed(revised, float(np.log(law.least + squared)), law)
             turned = _mixed(turned, float(np.log(law.least + angle)), law)
-        return Experience(revised, turned, _mixed(self.astray, astray, law), away, t, motion)
+        biased = self.biased
+        if bias is not None:
+            seen, known = bias
+            both = seen.covariance + known.covariance
+            excess = float(seen.excess @ np.linalg.solve(both, seen.excess)) / 3
+            usual = float(np.log(law.usual_excess)) if biased is None else biased
+            biased = _mixed(usual, float(np.log(law.least + excess)), law)
+        return Experience(
+            revised, turned, _mixed(self.astray, astray, law), away, biased, t, motion
+        )
 
 
 def angular_factor(experience: Experience, kept: float, seconds: float, law: ErrorLaw) -> float:
@@ -82,6 +96,13 @@ def angular_factor(experience: Experience, kept: float, seconds: float, law: Err
     """
     revised = float(np.exp(experience.revised))
     return law.angular * seconds * (revised / max(kept, law.least)) ** 2
+
+
+def factor_by_gyro(experience: Experience, law: ErrorLaw) -> float:
+    """By how much the squared error of a gyro's w usually exceeds its covariance."""
+    if experience.biased is None:
+        return 1.0
+    return float(np.exp(experience.biased)) / law.usual_excess
 
 
 def direction_variance(experience: Experience, kept: float, cost: float, law: ErrorLaw) -> float:

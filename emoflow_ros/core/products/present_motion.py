@@ -7,6 +7,7 @@ The contrast of the slice's events decides on w and v together with what is expe
 before has shown, and the window's estimate, carried on by its own change of w and a random walk, or
 by a gyro. Slices overlap, so that of their information the new events' share counts. How fast the
 image moves by the newest events bounds it (`gauge`): a camera that stops is at rest at once.
+How wrong the latest twists were tell the windows that come later (`hindsight`).
 """
 
 from dataclasses import replace
@@ -22,6 +23,7 @@ from emoflow_ros.core.lattice.egomotion import NodeEpipolar
 from emoflow_ros.core.lattice.field import Lattice
 from emoflow_ros.core.lattice.preparation import WorkingImage, prepare
 from emoflow_ros.core.lattice.uncertainty import without_translation
+from emoflow_ros.core.products.hindsight import Hindsight
 from emoflow_ros.core.products.known_scene import KnownScene, inverse_depths, motion_covariance
 from emoflow_ros.core.products.motion_prior import HeldMotion, Known
 from emoflow_ros.core.products.present_scene import Change, SeenScene, measured
@@ -53,6 +55,7 @@ class PresentMotion:
         self._contrast = Contrast(self._lattice, 1.0)
         self._drift = np.radians(np.repeat([config.angular_drift, config.direction_drift], 3)) ** 2
         self._scene: SeenScene | None = None
+        self._hindsight = Hindsight()
         self._before: Change | None = None  # what the last slice has shown
 
     def know(self, estimate: Estimate, gyro: GyroReadings | None = None) -> None:
@@ -62,6 +65,7 @@ class PresentMotion:
             estimate: of the window.
             gyro: its readings.
         """
+        self._hindsight.learn(estimate)
         self._scene = None
         if estimate.told:
             self._scene = self._see(estimate, gyro)
@@ -111,7 +115,8 @@ class PresentMotion:
         if by_gyro is None and shown is not None:
             self._before = shown
         own = scene.measured and (shown is not None or scene.known is None)
-        return _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
+        found = _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
+        return found if by_gyro is not None else self._hindsight.scaled(found)
 
     def _fit(self, expected: Change, part: Window, share: float) -> Change | None:
         """Fit an expected change to events of a slice; None if that cannot be done.

@@ -102,6 +102,11 @@ class PresentSettings:
         gyro_fresh_ns: largest age of the newest reading where the gyro alone tells the motion, ns.
         live_gap: variance of w by the gap after readings that end at a mean's middle, (rad/s)^2: as
             much is usual, and not added.
+        usual_surprise: mean square of the latest twists' errors by later windows over the told
+            covariance: it is scaled by how far that of this recording is off. 60 random recordings.
+        least_scale: of the covariance.
+        most_surprise: that counts.
+        of_surprise: share of a window in that mean.
     """
 
     longest_ns: int = 600_000_000
@@ -116,9 +121,13 @@ class PresentSettings:
     newest_ns: int = 20_000_000
     too_fast: float = 3.0
     mean_ns: int = 5_000_000
-    gyro_error: float = radians(0.5)
+    gyro_error: float = radians(0.3)
     gyro_fresh_ns: int = 20_000_000
     live_gap: float = 0.025**2
+    usual_surprise: float = 0.5
+    least_scale: float = 0.5
+    most_surprise: float = 10.0
+    of_surprise: float = 0.1
 
 
 STREAM = StreamSettings()

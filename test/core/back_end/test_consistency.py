@@ -9,10 +9,12 @@ from emoflow_ros.core.back_end.consistency import (
     Experience,
     angular_factor,
     direction_variance,
+    factor_by_gyro,
     variance_by_gyro,
 )
 from emoflow_ros.core.back_end.settings import BackEndSettings
 from emoflow_ros.core.back_end.trajectory import MotionAt
+from emoflow_ros.core.types.gyro import KnownBias, SeenBias
 
 LAW = BackEndSettings().errors
 W, V = np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 2.0])
@@ -94,3 +96,20 @@ def test_the_error_of_a_gyro_s_w_turns_the_direction_the_more_the_slower_the_cam
     assert fast == pytest.approx(0.5 * 2 * SD**2 / 0.4**2)
     assert variance_by_gyro(covariance, 0.2, LAW) == pytest.approx(4 * fast)
     assert np.isfinite(variance_by_gyro(covariance, 0.0, LAW))
+
+
+def test_the_error_of_a_gyro_s_w_goes_with_what_places_show_of_its_bias():
+    """Each window's share is the log of the square over the variance of both, per axis."""
+    assert factor_by_gyro(first(), LAW) == 1
+    known = KnownBias(np.array([5.0, 0.0, 0.0]), 3 * SD**2 * np.eye(3))
+    seen = SeenBias(np.array([0.0, 6 * SD, 0.0]), SD**2 * np.eye(3), 0.5)
+    once = first().after(9, told(), None, (W, V), LAW, (seen, known))
+    excess = LAW.least + 6**2 / (3 + 1) / 3
+    assert factor_by_gyro(once, LAW) == pytest.approx((excess / 0.27) ** LAW.share)
+    twice = once.after(11, told(), None, (W, V), LAW, (seen, known))
+    share = 1 - (1 - LAW.share) ** 2
+    assert factor_by_gyro(twice, LAW) == pytest.approx((excess / 0.27) ** share)
+    without = twice.after(13, told(), None, (W, V), LAW)
+    assert without.biased == twice.biased
+    right = replace(seen, excess=np.zeros(3))
+    assert factor_by_gyro(once.after(11, told(), None, (W, V), LAW, (right, known)), LAW) < 1
