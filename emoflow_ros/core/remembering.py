@@ -253,7 +253,7 @@ class RememberingEstimator:
         """Fit the flow again along the likeliest way, which the depths belong to.
 
         That way may translate though its direction is too uncertain to be told. Its w, too, is what
-        the depths belong to: a gyro's has a bias. How sure w is, is as it is told.
+        the depths belong to: a gyro's has a bias. w is as sure as the adjustment or the gyro says.
 
         Args:
             estimate: of the window.

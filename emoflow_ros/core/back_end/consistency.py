@@ -102,7 +102,7 @@ def factor_by_gyro(experience: Experience, law: ErrorLaw) -> float:
     """By how much the squared error of a gyro's w usually exceeds its covariance."""
     if experience.biased is None:
         return 1.0
-    return float(np.exp(experience.biased)) / law.usual_excess
+    return max(law.least_factor, float(np.exp(experience.biased)) / law.usual_excess)
 
 
 def direction_variance(experience: Experience, kept: float, cost: float, law: ErrorLaw) -> float:

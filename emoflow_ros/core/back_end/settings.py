@@ -21,7 +21,8 @@ class ErrorLaw:
         share: of the newest window in running means.
         usual_revision, usual_turn: before the first one.
         usual_excess: of a gyro's bias over what was known, squared, over the covariance: that of w
-            is scaled by how far this recording's is off.
+            is scaled by how far this recording's is off, but at least by
+        least_factor: places may tell little. Both: 60 random recordings.
         least: added to each; the least share of patches, and the least speed (1/s), that count.
         least_cost: of an observation: fewer errors than expected are not believed.
         unknown_angle: that counts where a direction is unknown.
@@ -36,6 +37,7 @@ class ErrorLaw:
     usual_revision: float = 0.07
     usual_turn: float = 0.37
     usual_excess: float = 0.27
+    least_factor: float = 0.3
     least: float = 0.01
     least_cost: float = 0.6
     unknown_angle: float = 1.2

@@ -14,8 +14,9 @@ class Hindsight:
     """Scales the covariance of w of latest twists by what windows show of them later.
 
     A window that holds a latest twist's time tells its w better. The square of the difference over
-    the covariance is a right one's measure (R. K. Mehra, On the identification of variances and
-    adaptive Kalman filtering, IEEE Trans. Automatic Control 15(2), 1970): its mean is the scale.
+    the covariance shows how right that is (R. K. Mehra, On the identification of variances and
+    adaptive Kalman filtering, IEEE Trans. Automatic Control 15(2), 1970): its mean over the usual
+    one is the scale, at first 1.
     """
 
     def __init__(self) -> None:
@@ -35,7 +36,7 @@ class Hindsight:
         return replace(found, covariance=found.covariance * np.outer(of_twist, of_twist))
 
     def learn(self, estimate: Estimate) -> None:
-        """Compare a window's estimate, if its events told it, with the twist of its middle."""
+        """Compare what a window measured with the twist nearest to its middle."""
         if estimate.motion is None or estimate.status is not Status.OK:
             return
         its = [x for x in self._told if estimate.t_start <= x.twist.t <= estimate.t_end]
@@ -44,5 +45,6 @@ class Hindsight:
         found = min(its, key=lambda x: abs(x.twist.t - estimate.t))
         off = found.twist.angular - estimate.motion.angular(found.twist.t)
         square = float(off @ np.linalg.solve(found.covariance[3:, 3:], off)) / 3
-        share = PRESENT.of_surprise
-        self._surprise += share * (min(square, PRESENT.most_surprise) - self._surprise)
+        if np.isfinite(square):
+            square = min(square, PRESENT.most_surprise)
+            self._surprise += PRESENT.of_surprise * (square - self._surprise)

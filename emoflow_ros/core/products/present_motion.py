@@ -7,7 +7,7 @@ The contrast of the slice's events decides on w and v together with what is expe
 before has shown, and the window's estimate, carried on by its own change of w and a random walk, or
 by a gyro. Slices overlap, so that of their information the new events' share counts. How fast the
 image moves by the newest events bounds it (`gauge`): a camera that stops is at rest at once.
-How wrong the latest twists were tell the windows that come later (`hindsight`).
+Later windows tell how wrong the latest twists were (`hindsight`).
 """
 
 from dataclasses import replace
@@ -65,12 +65,12 @@ class PresentMotion:
             estimate: of the window.
             gyro: its readings.
         """
-        self._hindsight.learn(estimate)
         self._scene = None
         if estimate.told:
             self._scene = self._see(estimate, gyro)
         if self._scene is None or self._scene.known is None:  # the camera stops, or who knows
             self._before = None
+        self._hindsight.learn(estimate)
 
     def estimate(self, window: Window) -> PresentTwist | None:
         """Estimate the motion at the end of a slice of events.
@@ -113,10 +113,9 @@ class PresentMotion:
         if found is None:
             return None
         if by_gyro is None and shown is not None:
-            self._before = shown
+            self._before, found = shown, self._hindsight.scaled(found)
         own = scene.measured and (shown is not None or scene.known is None)
-        found = _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
-        return found if by_gyro is not None else self._hindsight.scaled(found)
+        return _held(scene.bound, seen, found, measured=own, by_gyro=by_gyro is not None)
 
     def _fit(self, expected: Change, part: Window, share: float) -> Change | None:
         """Fit an expected change to events of a slice; None if that cannot be done.

@@ -78,8 +78,7 @@ class StreamSettings:
 class PresentSettings:
     """How the latest twist is told from the newest events, or from a gyro.
 
-    Events and fading were chosen on 18 recordings (docs/experiments.md). Nothing scales with the
-    sensor.
+    Events, fading and walk were chosen on 18 random recordings. Nothing scales with the sensor.
 
     Attributes:
         longest_ns: from the middle of the last window to now; later there is none, ns.

@@ -113,3 +113,5 @@ def test_the_error_of_a_gyro_s_w_goes_with_what_places_show_of_its_bias():
     assert without.biased == twice.biased
     right = replace(seen, excess=np.zeros(3))
     assert factor_by_gyro(once.after(11, told(), None, (W, V), LAW, (right, known)), LAW) < 1
+    surely = replace(once, biased=-9.0)
+    assert factor_by_gyro(surely, LAW) == 0.3  # places may tell little

@@ -86,6 +86,14 @@ def test_twists_of_other_times_are_no_measure() -> None:
     assert scale(hindsight, estimate) == 1.0
 
 
+def test_what_is_not_finite_is_no_measure() -> None:
+    _, estimate = last("calm")
+    hindsight = Hindsight()
+    hindsight.scaled(told(estimate, np.nan))
+    hindsight.learn(estimate)
+    assert scale(hindsight, estimate) == 1.0
+
+
 def test_twists_are_kept_until_no_window_can_come_and_forgotten_where_time_goes_back() -> None:
     _, estimate = last("calm")
     for t in (estimate.t + PRESENT.longest_ns + 1, estimate.t - 1):
@@ -93,3 +101,7 @@ def test_twists_are_kept_until_no_window_can_come_and_forgotten_where_time_goes_
         hindsight.scaled(told(estimate, 50.0))
         hindsight.scaled(told(estimate, 0.0, t))
         assert [x.twist.t for x in hindsight._told] == [t]
+    hindsight = Hindsight()
+    for t in (estimate.t, estimate.t + PRESENT.longest_ns):
+        hindsight.scaled(told(estimate, 0.0, t))
+    assert len(hindsight._told) == 2
