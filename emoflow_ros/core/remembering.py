@@ -52,12 +52,14 @@ class Memory:
         experience: of what adjustments are worth.
         end: of the last slice, ns; None before the first one.
         shown: flows of the newest windows.
+        bias: of a gyro, as the window told it; None where it told nothing new.
     """
 
     odometry: State
     experience: Experience
     end: int | None = None
     shown: tuple[ShownFlow, ...] = ()
+    bias: SeenBias | None = None
 
     def end_before(self, window: Window) -> int | None:
         """End of the last slice, ns; None where a window does not go on from there."""
@@ -112,10 +114,9 @@ class RememberingEstimator:
             window = replace(window, expected=expected)
         found = self._estimator.estimate(window)
         self._memory, estimate = self.step(memory, window, found)
-        state, used = self._memory.odometry, found.gyro.state is GyroState.USED
-        is_new = state.bias is not None and state is not memory.odometry
-        if self._learn_bias is not None and used and is_new:
-            self._learn_bias(told_bias(state, found.t, self._odometry.back))
+        bias, used = self._memory.bias, found.gyro.state is GyroState.USED
+        if self._learn_bias is not None and used and bias is not None:
+            self._learn_bias(bias)
         return estimate
 
     def step(self, memory: Memory, window: Window, found: Estimate) -> tuple[Memory, Estimate]:
@@ -129,6 +130,7 @@ class RememberingEstimator:
         end = memory.end_before(window)
         if end is None:
             memory, end = self.nothing(), window.t_start
+        memory = replace(memory, bias=None)
         seen, before = found.flow is not None, memory.odometry
         if not seen and (found.status is not Status.NO_MOTION or before.adjusted is None):
             return replace(memory, end=end), found
@@ -141,7 +143,9 @@ class RememberingEstimator:
         memory, motion = replace(memory, odometry=state, end=window.t_end), state.motion(found.t)
         if motion is None:
             return memory, self._first(found)
-        memory = replace(memory, experience=self._learnt(memory.experience, found, state, motion))
+        if state.bias is not None and state is not before:
+            memory = replace(memory, bias=told_bias(state, found.t, self._odometry.back))
+        memory = replace(memory, experience=self._learnt(memory, found, motion))
         return self._read(window, found, memory)
 
     def nothing(self) -> Memory:
@@ -155,16 +159,14 @@ class RememberingEstimator:
         factor = np.where(np.outer(wider, wider), self._odometry.back.errors.first, 1.0)
         return replace(found, covariance=factor * found.covariance)
 
-    def _learnt(
-        self, experience: Experience, found: Estimate, state: State, motion: MotionAt
-    ) -> Experience:
-        before = experience.t
+    def _learnt(self, memory: Memory, found: Estimate, motion: MotionAt) -> Experience:
+        experience, state, bias = memory.experience, memory.odometry, None
+        before, known = experience.t, found.gyro.bias
         again = None if before is None or before < state.t[0] else state.motion(before)
-        back, known, bias = self._odometry.back, found.gyro.bias, None
-        if state.bias is not None and known is not None:
-            bias = told_bias(state, found.t, back), known
-        measured = found.angular, found.linear
-        return experience.after(found.t, motion, again, measured, back.errors, bias)
+        if memory.bias is not None and known is not None:
+            bias = memory.bias, known
+        measured, law = (found.angular, found.linear), self._odometry.back.errors
+        return experience.after(found.t, motion, again, measured, law, bias)
 
     def _taken(self, state: State, window: Window, since: int, found: Estimate) -> State:
         """Take a window's slices since a time (ns) into a state."""

@@ -31,7 +31,7 @@ class Experience:
             window.
         away: (3,) rad/s, the lattice's angular velocity less the adjusted one of the last window.
         biased: log of the squared excess over a gyro's bias that places show, over the covariance
-            of both, per axis.
+            of both, per axis, less that of the usual one.
         t: the time that the last motion was told for, ns; None before one.
         motion: that was told.
     """
@@ -40,7 +40,7 @@ class Experience:
     turned: float
     astray: float | None = None
     away: Array = field(default_factory=lambda: np.zeros(3))
-    biased: float | None = None
+    biased: float = 0.0
     t: int | None = None
     motion: MotionAt | None = None
 
@@ -78,8 +78,7 @@ class Experience:
             seen, known = bias
             both = seen.covariance + known.covariance
             excess = float(seen.excess @ np.linalg.solve(both, seen.excess)) / 3
-            usual = float(np.log(law.usual_excess)) if biased is None else biased
-            biased = _mixed(usual, float(np.log(law.least + excess)), law)
+            biased = _mixed(biased, float(np.log((law.least + excess) / law.usual_excess)), law)
         return Experience(
             revised, turned, _mixed(self.astray, astray, law), away, biased, t, motion
         )
@@ -100,9 +99,7 @@ def angular_factor(experience: Experience, kept: float, seconds: float, law: Err
 
 def factor_by_gyro(experience: Experience, law: ErrorLaw) -> float:
     """By how much the squared error of a gyro's w usually exceeds its covariance."""
-    if experience.biased is None:
-        return 1.0
-    return max(law.least_factor, float(np.exp(experience.biased)) / law.usual_excess)
+    return max(law.least_factor, float(np.exp(experience.biased)))
 
 
 def direction_variance(experience: Experience, kept: float, cost: float, law: ErrorLaw) -> float:

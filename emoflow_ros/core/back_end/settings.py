@@ -21,8 +21,8 @@ class ErrorLaw:
         share: of the newest window in running means.
         usual_revision, usual_turn: before the first one.
         usual_excess: of a gyro's bias over what was known, squared, over the covariance: that of w
-            is scaled by how far this recording's is off, but at least by
-        least_factor: places may tell little. Both: 60 random recordings.
+            is scaled by how far this recording's is off. 60 random recordings.
+        least_factor: of that scale, for places may tell little.
         least: added to each; the least share of patches, and the least speed (1/s), that count.
         least_cost: of an observation: fewer errors than expected are not believed.
         unknown_angle: that counts where a direction is unknown.

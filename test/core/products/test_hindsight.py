@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from present_runs import last
+from present_runs import LATE_NS, last
 
 from emoflow_ros.core.products.hindsight import Hindsight
 from emoflow_ros.core.products.settings import PRESENT
+from emoflow_ros.core.stream.thinning import spread
 from emoflow_ros.core.types.estimate import Estimate, Status
 from emoflow_ros.core.types.events import NS_PER_MS
 from emoflow_ros.core.types.twist import PresentTwist, Twist
@@ -105,3 +106,27 @@ def test_twists_are_kept_until_no_window_can_come_and_forgotten_where_time_goes_
     for t in (estimate.t, estimate.t + PRESENT.longest_ns):
         hindsight.scaled(told(estimate, 0.0, t))
     assert len(hindsight._told) == 2
+
+
+def test_later_windows_tell_how_sure_fits_are() -> None:
+    """Where too few events come for a fit, nothing is learnt of it, and nothing is scaled."""
+    its, estimate = last("agile")
+    before = its.estimates[its.estimates.index(estimate) - 1]
+    for events, is_fit in ((3_000, True), (250, False)):
+        present, fresh = its.present(), its.present()
+        present.know(replace(before, bound=None))
+        window = its.slice(estimate.t)
+        present.estimate(replace(window, events=spread(window.events, events)))
+        for one in (present, fresh):
+            one.know(replace(estimate, bound=None))
+        scale = max(PRESENT.least_scale, present._hindsight._surprise / PRESENT.usual_surprise)
+        assert (scale != 1.0) is is_fit
+        present._before = None  # as for the fresh one
+        window = its.slice(estimate.t_end + LATE_NS)
+        window = replace(window, events=spread(window.events, events))
+        scaled, plain = present.estimate(window), fresh.estimate(window)
+        assert scaled is not None and plain is not None
+        np.testing.assert_array_equal(scaled.twist.angular, plain.twist.angular)
+        np.testing.assert_allclose(
+            scaled.covariance[3:, 3:], scale * plain.covariance[3:, 3:], rtol=1e-9
+        )

@@ -134,30 +134,6 @@ def test_of_a_slice_the_share_counts_that_no_other_has_seen() -> None:
     np.testing.assert_allclose(gained[1], 0.25 * gained[0], rtol=1e-6, atol=1e-6 * gained[0].max())
 
 
-def test_later_windows_tell_how_sure_fits_are() -> None:
-    """Where too few events come for a fit, nothing is learnt of it, and nothing is scaled."""
-    its, estimate = last("agile")
-    before = its.estimates[its.estimates.index(estimate) - 1]
-    for events, is_fit in ((3_000, True), (250, False)):
-        present, fresh = its.present(), its.present()
-        present.know(replace(before, bound=None))
-        window = its.slice(estimate.t)
-        present.estimate(replace(window, events=spread(window.events, events)))
-        for one in (present, fresh):
-            one.know(replace(estimate, bound=None))
-        scale = max(PRESENT.least_scale, present._hindsight._surprise / PRESENT.usual_surprise)
-        assert (scale != 1.0) is is_fit
-        present._before = None  # as for the fresh one
-        window = its.slice(estimate.t_end + LATE_NS)
-        window = replace(window, events=spread(window.events, events))
-        scaled, plain = present.estimate(window), fresh.estimate(window)
-        assert scaled is not None and plain is not None
-        np.testing.assert_array_equal(scaled.twist.angular, plain.twist.angular)
-        np.testing.assert_allclose(
-            scaled.covariance[3:, 3:], scale * plain.covariance[3:, 3:], rtol=1e-9
-        )
-
-
 def test_where_time_goes_back_a_slice_is_taken_for_itself() -> None:
     its, estimate = last("agile")
     earlier, later = (estimate.t_end + LATE_NS + k * STEP_NS for k in range(2))
